@@ -11,12 +11,12 @@ import functools
 import itertools
 import os
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from posetrack_cli.build import source_digest
 from posetrack_cli.cache import cache_folder
@@ -76,23 +76,45 @@ def inlined(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    try:
-        import numba
-        import numba.core.config
-    except ModuleNotFoundError:  # an installation for evaluation, which calls few kernels; trackers refuse it
-        return function
-    compiled: Any = numba.njit(**_OPTIONS, **options)(function)
-    compiled.get_call_template = functools.partial(_resolved_by_type, compiled.get_call_template)
-    config: Any = numba.core.config  # attributes are created at run time, so type checkers do not see them
-    folder, others = kernel_folder(), config.CACHE_DIR
-    if folder is not None:
-        config.CACHE_DIR = folder
+    later: Any = _Kernel(function, options)
+    return cast("Function", later)
+
+
+class _Kernel:
+    """A kernel that loads numba when it is first called, or used by another: that takes .3 s and 60 MiB."""
+
+    def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._options = options
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """Type by which numba finds the function in other kernels."""
+        return self.dispatcher._numba_type_
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """The function as numba calls it."""
+        function: Any = self.__wrapped__  # type: ignore[attr-defined]
         try:
-            compiled._cache = _cache_class()(compiled.py_func)
-        finally:
-            config.CACHE_DIR = others
-    dispatcher: Function = compiled
-    return dispatcher
+            import numba
+            import numba.core.config
+        except ModuleNotFoundError:  # an installation for evaluation; trackers refuse it
+            return function
+        compiled: Any = numba.njit(**_OPTIONS, **self._options)(function)
+        compiled.get_call_template = functools.partial(_resolved_by_type, compiled.get_call_template)
+        config: Any = numba.core.config  # its attributes are created at run time
+        folder, others = kernel_folder(), config.CACHE_DIR
+        if folder is not None:
+            config.CACHE_DIR = folder
+            try:
+                compiled._cache = _cache_class()(compiled.py_func)
+            finally:
+                config.CACHE_DIR = others
+        return compiled
 
 
 def _resolved_by_type(template: Callable[..., Any], args: Any, kws: Any) -> Any:

@@ -26,7 +26,7 @@ import numpy as np
 from posetrack_cli.geometry.kernels import rotation_matrix
 out = np.zeros((3, 3))
 rotation_matrix(np.array([0.0, 0.0, 0.0, 1.0]), out)
-print(np.array_equal(out, np.eye(3)), rotation_matrix.stats.cache_path)
+print(np.array_equal(out, np.eye(3)), rotation_matrix.dispatcher.stats.cache_path)
 """
 
 
@@ -208,7 +208,7 @@ def test_a_constant_is_compiled_for_as_any_other_number(folder: Path) -> None:
     power = kernel(lambda number, exponent, inverse: number ** (-exponent if inverse else exponent))
     called = kernel(lambda number: power(number, 2, False) + power(number, 3, inverse=True))
     assert called(2.0) == 4.0 + 0.125
-    assert len(power.signatures) == 1  # type: ignore[attr-defined]
+    assert len(power.dispatcher.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
@@ -235,6 +235,7 @@ def test_a_cache_that_can_only_be_read_is_read(folder: Path, monkeypatch: pytest
 def test_what_cannot_be_kept_is_no_error(folder: Path) -> None:
     """As on a disk that is full, or was taken away."""
     made = kernel(doubled)
+    assert made.dispatcher.stats.cache_path.startswith(str(folder))  # type: ignore[attr-defined]
     shutil.rmtree(folder)
     folder.touch()
     assert made(1.5) == 3.0

@@ -242,8 +242,8 @@ def track_head(
         fps, stamps_ns: see ``track_hand``.
         fov_deg: field of view along the longer side of one uncalibrated camera; None estimates it.
         face: which face to track with one camera, 1 for the largest.
-        faces: ``all`` tracks each face in the images of one camera. Iteration yields estimates of the first;
-            the attribute ``current`` has those of all faces.
+        faces: ``all`` tracks each face, in two passes. Iteration yields estimates of the first; the attribute
+            ``current`` has those of all faces.
         person: earlier head result of the same person, whose shape and size one camera then uses.
         config, settings, seed, smooth, output, overwrite, resume: see ``track_hand``.
 
@@ -265,12 +265,10 @@ def track_head(
     files, own = _as_list(config), dict(settings or {})
     with folder:
         if len(recording.cameras) > 1:
-            for name, given in {"person": person, "faces": faces}.items():
-                if given is not None:
-                    found = f"{len(recording.cameras)} cameras"
-                    raise UsageError(f"{name} applies to one camera", found=found)
+            if person is not None:
+                raise UsageError("person applies to one camera", found=f"{len(recording.cameras)} cameras")
             stereo = _configured(HeadStereoConfig, files, own)
-            run = make_stereo_run(recording, stereo, options, _ignore)
+            run = make_stereo_run(recording, stereo, options, _ignore, all_faces=faces is not None)
         else:
             mono = _configured(HeadMonoConfig, files, own)
             known_fov = fov_deg is not None

@@ -46,7 +46,6 @@ class SideAndFile(click.ParamType[Any]):
     """``[SIDE=]FILE`` as side and path; the side is empty if it is not given."""
 
     name = "file"
-    sides = ("right", "left")
 
     def convert(
         self, value: Any, parameter: click.Parameter | None, context: click.Context | None
@@ -54,8 +53,10 @@ class SideAndFile(click.ParamType[Any]):
         """Split the text."""
         if isinstance(value, tuple):
             return value
+        from posetrack_cli.hand.config import SIDES
+
         side, equals, path = value.partition("=")
-        if not equals or side not in self.sides:
+        if not equals or side not in SIDES:
             side, path = "", value
         return side, Path(FILE.convert(path, parameter, context))
 

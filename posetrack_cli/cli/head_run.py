@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -210,6 +211,12 @@ def track_head(
     close(source.path, options.output, outcome, passes)
 
 
+FACES = option(
+    "--faces",
+    type=click.Choice(["all"]),
+    help="Track all faces, each as a track of its own: 1, 2 and so on. Requires two passes.",
+)
+
 # posetrack head stereo
 
 
@@ -231,7 +238,7 @@ def track_head(
     group=LEARNED,
 )
 @learning_options
-@option_group(start_options, title=START)
+@option_group(start_options, FACES, title=START)
 @option_group(particles_option(1000), title=CONFIGURATION)
 @configuration_options("head-stereo (default), head-stereo-paper", "model.components=3")
 @frame_options
@@ -251,8 +258,8 @@ def head_stereo(recording: Path, **options: Any) -> None:
     source = open_stereo_recording(recording, options)
     config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
     chosen = head_run_options(options, source)
-    passes = config.run.passes
-    track_head(source, passes, chosen, lambda first_pass: make_stereo_run(source, config, chosen, first_pass))
+    make_run = partial(make_stereo_run, source, config, chosen, all_faces=options["faces"] is not None)
+    track_head(source, config.run.passes, chosen, make_run)
 
 
 def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:
@@ -331,11 +338,7 @@ OWN_CONFIGURED = {
         show_default=True,
         help="Face to track, by size in the first frames; 1 is the largest.",
     ),
-    option(
-        "--faces",
-        type=click.Choice(["all"]),
-        help="Track all faces, each as a track of its own: 1, 2 and so on. Requires two passes.",
-    ),
+    FACES,
     title=START,
 )
 @option_group(particles_option(750), title=CONFIGURATION)

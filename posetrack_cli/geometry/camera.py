@@ -426,7 +426,7 @@ def pixels_wherever(camera: Camera, points: FloatArray) -> FloatArray:
 def _normalised(points: FloatArray) -> FloatArray:
     """Return normalised coordinates (..., 2) of points (..., 3), finite even behind the camera."""
     z = np.where(points[..., 2] > 0.0, points[..., 2], 1.0)
-    return np.stack([points[..., 0] / z, points[..., 1] / z], axis=-1)
+    return points[..., :2] / z[..., None]
 
 
 def pixels_and_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -448,7 +448,9 @@ def pixels_and_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray,
 def pixels_from_normalised(camera: Camera, normalised: FloatArray) -> FloatArray:
     """Return distorted pixels (..., 2) of normalised coordinates (..., 2)."""
     x, y = distort(camera, normalised[..., 0], normalised[..., 1])
-    return np.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy], axis=-1)
+    pixels = np.empty((*x.shape, 2), x.dtype)
+    pixels[..., 0], pixels[..., 1] = camera.fx * x + camera.cx, camera.fy * y + camera.cy
+    return pixels
 
 
 def normalised_from_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:

@@ -7,12 +7,23 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
+import numpy as np
+
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.config import SIDES, HandConfig
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.model.hand import hand_maker
-from posetrack_cli.hand.search import Acquisition, Candidate, cheapest_pair, detection_penalty, quick_search
+from posetrack_cli.hand.search import (
+    ACCEPT_MM,
+    LIKELY_PAIR_MM,
+    Acquisition,
+    Candidate,
+    cheapest_pair,
+    detection_penalty,
+    least_cost_at,
+    quick_search,
+)
 from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, combined, shape_of
 from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
@@ -20,19 +31,18 @@ from posetrack_cli.recording.recording import Recording
 
 FRAMES, _FEW = 16, 6
 """Frames of the whole recording that are searched for two hands, and least number that show both."""
-SECOND_MM = 8.0
-"""Largest total cost of the costlier of two hands **[ours]**.
+SECOND_MM = 12.0
+"""Largest cautious cost of the costlier of two hands **[ours]**.
 
-In recordings of one hand, elbows, bodies and backgrounds cost at least 9.9 mm as a second one (16 in real
-ones); in every recording of two hands some frame costs less than 7 mm.
+Open hands that the average hand does not fit cost up to 10 mm. In recordings of one hand, upper arms, bodies
+and backgrounds cost at least 14 mm as a second one. An elbow may look like a hand, but lies on the same arm
+(``search.cheapest_pair``).
 """
-LIKELY_MM = 15.0
-"""Likewise in a recording that is known to show two hands."""
-_FINGERS_MM, _ALIKE_MM = 4.0, 2.0
-"""Further cost of two hands that both show fingers, and largest difference of their costs: real hands of
-average shape cost up to 12 mm, with or without a second one."""
 _LEAST_COST_MM = 2.5
 """Cost of the best fits of an average hand of the right size."""
+
+_MOST_LEAD_MM, _CLEAR_LEAD_MM = 2.7, 3.6
+"""Largest evidence of a frame for a side, and least evidence of all: 3 and 4 log odds (``autodetect``)."""
 
 
 class PairFrame(NamedTuple):
@@ -41,15 +51,22 @@ class PairFrame(NamedTuple):
     Attributes:
         frame: the frame.
         wrists: (3,) of the right and of the left hand, mm; None for one that was not found.
+        leads: by how much either hand costs less than one of the other side at its place, mm.
     """
 
     frame: Frame
     wrists: tuple[FloatArray | None, FloatArray | None]
+    leads: tuple[float, float]
 
     @property
     def shows_both(self) -> bool:
         """Return whether both hands were found."""
         return all(wrist is not None for wrist in self.wrists)
+
+    def only(self, side: str) -> PairFrame:
+        """Return the frame with the hand of one side alone."""
+        right, left = self.wrists
+        return self._replace(wrists=(right, None) if side == SIDES[0] else (None, left))
 
 
 class PairFinder:
@@ -76,7 +93,7 @@ class PairFinder:
     @property
     def frames(self) -> list[PairFrame]:
         """The frames that probably show both of two hands; if they are few, also those that show one."""
-        found = list(self._pairs("finding both hands", LIKELY_MM))
+        found = list(self._pairs("finding both hands", LIKELY_PAIR_MM))
         both = [one for one in found if one.shows_both]
         return both if len(both) >= _FEW else found
 
@@ -90,30 +107,38 @@ class PairFinder:
                 advance(1)
 
     def _pair_in(self, frame: Frame, limit_mm: float) -> PairFrame | None:
-        """Return a frame's hands, each with a total cost below a limit; None if it cannot show two."""
+        """Return a frame's hands, each with a cost below a limit; None if it cannot show two."""
         likely = [
             (penalty, detection)
-            for detection in self._finders[0].detect(frame.depth)
-            if (penalty := detection_penalty(detection)) < limit_mm - _LEAST_COST_MM
+            for detection in self._finders[0].detect(frame.depth, is_sized=True)
+            if 2.0 * (penalty := detection_penalty(detection)) < limit_mm - _LEAST_COST_MM
         ]
         found: list[list[Candidate]] = [[], []]
         places = len(likely)
         # the least likely first: without a second hand, the fits of the first one are not needed
-        for penalty, detection in sorted(likely, key=lambda one: -one[0]):
+        for _, detection in sorted(likely, key=lambda one: -one[0]):
             if places < len(SIDES):
                 return None
             fits = [finder.candidates_at(frame.depth, [detection]) for finder in self._finders]
-            most = limit_mm + (_FINGERS_MM if penalty < 0.0 else 0.0)
-            good = [[one for one in these if one.total_cost < most] for these in fits]
-            places -= not any(good)
-            found = [known + more for known, more in zip(found, good, strict=True)]
-        right, left = cheapest_pair(*found)
-        wrists = None if right is None else right.pose[:3], None if left is None else left.pose[:3]
-        if right is not None and left is not None:
-            low, high = sorted((right.total_cost, left.total_cost))
-            if high >= limit_mm and high >= low + _ALIKE_MM:
-                return None
-        return PairFrame(frame, wrists)
+            places -= not any(one.cautious_cost < limit_mm for these in fits for one in these)
+            found = [known + more for known, more in zip(found, fits, strict=True)]
+        pair = cheapest_pair(*found)
+        first, second = (_lead_mm(one, others) for one, others in zip(pair, reversed(found), strict=True))
+        right, left = (None if one is None or one.cautious_cost >= limit_mm else one.pose[:3] for one in pair)
+        return PairFrame(frame, (right, left), (first, second))
+
+
+def _lead_mm(found: Candidate | None, others: Sequence[Candidate]) -> float:
+    """Return by how much a hand costs less than the other side at its place; 0 if either was not found."""
+    other_mm = ACCEPT_MM if found is None else least_cost_at(found, others)
+    return 0.0 if found is None or other_mm == ACCEPT_MM else other_mm - found.total_cost
+
+
+def common_side(found: Sequence[PairFrame]) -> str | None:
+    """Return the side of which both hands are, as those of two people; None for a right and a left hand."""
+    both = [np.clip(one.leads, -_MOST_LEAD_MM, _MOST_LEAD_MM) for one in found if one.shows_both]
+    leads = np.sum(both, axis=0) if both else np.zeros(len(SIDES))
+    return SIDES[1 - int(np.argmin(leads))] if leads.min() < -_CLEAR_LEAD_MM else None
 
 
 def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:

@@ -73,6 +73,12 @@ def signs_of(
 NO_EVIDENCE = RunningSigns.before(len(SIGN_NAMES))
 
 
-def probability(evidence: RunningSigns) -> float:
-    """Return the probability that the estimate is right; 0 before the first frame."""
-    return REGRESSION.probability(evidence.signs) if evidence.frames else 0.0
+def probability(evidence: RunningSigns, shape_doubt: float = 0.0) -> float:
+    """Return the probability that the estimate is right; 0 before the first frame.
+
+    Args:
+        evidence: running signs.
+        shape_doubt: reduction of the log odds.
+    """
+    regression = REGRESSION._replace(bias=REGRESSION.bias - shape_doubt)
+    return regression.probability(evidence.signs) if evidence.frames else 0.0

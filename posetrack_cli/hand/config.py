@@ -323,7 +323,8 @@ class StatusSettings(Settings):
     hand is lost when 1 - D / c_max stays below ``lost_below`` for ``lost_after_frames`` frames; the whole
     image is then searched. Confidence falls with the ratio of a fit's cost to ``baseline_cost_mm``, the cost
     of good fits in the whole recording; 0 means unknown, and a shape estimated from the recording sets it.
-    Confidence is multiplied by ``hand_probability``, which is below 1 after an uncertain detection.
+    Confidence is multiplied by ``hand_probability``, which is below 1 after an uncertain detection. Its log
+    odds are reduced by ``shape_doubt`` where the shape comes from very few frames.
     """
 
     renamed_keys: ClassVar[Mapping[str, str]] = {
@@ -339,6 +340,9 @@ class StatusSettings(Settings):
     )
     hand_probability: Fraction = setting(
         1.0, "probability of the hand's side and size, for confidence; set by their detection"
+    )
+    shape_doubt: NotNegative = setting(
+        0.0, "reduction of the log odds of confidence; set where the shape comes from very few frames"
     )
     lost_below: Fraction = setting(0.5, "1 - D / c_max below which a frame counts as a miss")
     lost_after_frames: Annotated[int, Field(ge=1)] = setting(

@@ -16,7 +16,14 @@ from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
-from posetrack_cli.hand.search import Candidate, cheapest_pair, lead_of, least_cost_at
+from posetrack_cli.hand.search import (
+    ACCEPT_MM,
+    LIKELY_PAIR_MM,
+    Candidate,
+    cheapest_pair,
+    lead_of,
+    least_cost_at,
+)
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
@@ -31,7 +38,7 @@ _SEARCH_FRAMES = 4
 """A hand that is not where it is expected is searched in every so many frames."""
 _BOTH_AFTER_FRAMES = 12
 """After so many frames without one hand, both are searched: what the other one explains may be wrong."""
-_MAX_COST_RATIO = 1.25
+_MAX_COST_RATIO = 1.5
 """Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
 _LEAD_MM = 1.0
 """By how much a pair has to cost less than the exchanged one: with the right shape, pairs lead by 2.7 mm or
@@ -158,7 +165,7 @@ class PairTracker:
         turn = [k for k in _BOTH if not state.is_sure(k) and state.unsure[k] % _SEARCH_FRAMES == 0]
         is_long = any(state.unsure[k] and state.unsure[k] % _BOTH_AFTER_FRAMES == 0 for k in turn)
         if is_long or state.compare_in == 1 or (turn and not any(state.is_sure(k) for k in _BOTH)):
-            places = [tracker.candidates(depth) for tracker in self.trackers]
+            places = self._places(depth)
             best_pair = cheapest_pair(*places)
             if lead_of(best_pair, *places) > _LEAD_MM:
                 found = [
@@ -172,14 +179,26 @@ class PairTracker:
                 found[k] = self._found_alone(k, state, without_others(depth, None, (other,), self._camera))
         return found
 
+    def _places(self, depth: ImageArray) -> list[list[Candidate]]:
+        """Return the candidates of both hands, with either hand at every place of the other one.
+
+        A search that misses a hand at a place would otherwise leave the place to the other side.
+        """
+        found = [tracker.candidates(depth) for tracker in self.trackers]
+        missed = ([one for one in found[1 - k] if least_cost_at(one, found[k]) == ACCEPT_MM] for k in _BOTH)
+        return [
+            known + [other for one in places if (other := tracker.lookalike(depth, one)) is not None]
+            for tracker, known, places in zip(self.trackers, found, missed, strict=True)
+        ]
+
     def _found_alone(self, k: int, state: PairState, rest: ImageArray) -> Candidate | None:
         """Return a hand in an image without the other one, unless the other side fits as well: an arm."""
         best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
         best = self._accepted(k, best, state, rest, None)
         if best is None:
             return None
-        exchanged = least_cost_at(best, self.trackers[1 - k].candidates(rest))
-        return best if exchanged > best.total_cost + _LEAD_MM else None
+        exchanged = self.trackers[1 - k].lookalike(rest, best)
+        return best if exchanged is None or exchanged.cost > best.cost + _LEAD_MM else None
 
     def _seen_at(self, k: int, found: Candidate | None) -> SeenHand | None:
         return None if found is None else SeenHand(self._drawers[k], found.pose, found.inner)
@@ -189,11 +208,15 @@ class PairTracker:
     ) -> Candidate | None:
         """Return a candidate if it is a visible hand, elsewhere than the hand's track.
 
-        Its cost is compared with good fits in the recording and with the other hand's candidate.
+        Its cost is compared with good fits in the recording, as far as these are known, and with the other
+        hand's candidate.
         """
-        if found is None:
-            return None
         hand, tracker = state.hands[k], self.trackers[k]
+        levels = [tracker.config.status.baseline_cost_mm]
+        levels += [one.monitor.baseline_cost_mm for one in state.hands]
+        is_known = any(level > 0.0 for level in levels)
+        if found is None or not (is_known or found.cautious_cost < LIKELY_PAIR_MM):
+            return None
         ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)
         ratio = max(ratio, 1.0 if other is None else found.cost / other.cost)
         is_hand = ratio < _MAX_COST_RATIO and tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN

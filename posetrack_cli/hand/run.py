@@ -271,7 +271,9 @@ class HandRun(Run):
             frame = {INNER: NO_INNER} if fits is None else fits.keep(None, None, _REST, 0.0)
             like = hand_states(start)[number].particles
             kept = Kept(writer.frames_written, like, frame | {FOREARM_CONFIDENCE: 0.0})
-        return SmoothedTrack(path, smoother, smoothed_hand(self._hands[number].anatomy), kept)
+        is_calibrated = fits is not None and self._config.observation.models_pixels
+        describe = smoothed_hand(self._hands[number].anatomy, is_calibrated=is_calibrated)
+        return SmoothedTrack(path, smoother, describe, kept)
 
     def on_frame(self, frame: Frame) -> None:
         """Record frames without readings and frames with keypoints."""

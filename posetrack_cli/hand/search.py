@@ -365,6 +365,11 @@ _SIZES = (0.66, 1.25)
 """Range of hand scales, from a three-year-old to the largest men."""
 SAME_WRIST_MM = 60.0
 """Wrist distance up to which two candidates are the same hand."""
+LIKELY_PAIR_MM = 16.0
+"""Largest cautious cost of a hand in a recording that is known to show two."""
+_ONE_ARM_MM, _ASIDE_MM = 200.0, 40.0
+"""Largest distance of a wrist along the other hand's forearm, and aside, on one arm **[ours]**: the hand and
+its elbow, taken for another hand, are 60 to 110 mm apart and at most 30 mm aside."""
 
 
 def depth_penalty(depth_mm: float) -> float:
@@ -387,6 +392,11 @@ class Candidate:
     cost: float
     total_cost: float = np.inf
     inner: FloatArray = field(default_factory=NO_INNER.copy)
+
+    @property
+    def cautious_cost(self) -> float:
+        """Return the cost with twice the penalties of its place, mm: low only for what looks like a hand."""
+        return 2.0 * self.total_cost - self.cost
 
 
 _FINGER_STARTS = 2
@@ -498,15 +508,16 @@ class Acquisition:
         near = [detection for detection, one in found if one.total_cost < best.total_cost + _ALIKE_MM]
         return min(best.cost, self._config.observation.clamp_mm), near or list(detections)
 
-    def detect(self, depth: ImageArray) -> list[Detection]:
+    def detect(self, depth: ImageArray, *, is_sized: bool = False) -> list[Detection]:
         """Return possible hands in a whole image.
 
         A scale outside that of people means that depth is in another unit than mm; the image is then rescaled
-        to a hand of usual size.
+        to a hand of usual size. So it is if the hand has the size that is searched (``is_sized``): a child's
+        elbow is as wide as an adult's palm.
         """
         low, high = _SIZES
         scale = self._hand.anatomy.scale
-        unit = 1.0 if low <= scale <= high else scale
+        unit = 1.0 if low <= scale <= high and not is_sized else scale
         image = depth if unit == 1.0 else depth / np.float32(unit)
         detections = detect(image, self._camera, self._config.detection, self.observer.sampler)
         return detections if unit == 1.0 else [detection.enlarged(unit) for detection in detections]
@@ -539,10 +550,14 @@ class Acquisition:
         """Return the candidate, or a cheaper lookalike if it fits poorly."""
         if found.cost <= self._config.status.doubt_above_mm:
             return found
-        other = self.reconsider(self.observer.observe(depth, found.pose), found.pose, found.cost)
-        if other is None or other.cost >= found.cost:
-            return found
-        return replace(other, total_cost=found.total_cost + other.cost - found.cost)
+        other = self.lookalike(depth, found, found.cost)
+        return found if other is None or other.cost >= found.cost else other
+
+    def lookalike(self, depth: ImageArray, place: Candidate, below_mm: float = np.inf) -> Candidate | None:
+        """Return the best fit among hands that look like a candidate, of either side (``reconsider``)."""
+        other = self.reconsider(self.observer.observe(depth, place.pose), place.pose, below_mm)
+        penalty = place.total_cost - place.cost
+        return None if other is None else replace(other, total_cost=other.cost + penalty)
 
     def reconsider(
         self, observation: Observation, pose: FloatArray, below_mm: float = np.inf
@@ -671,7 +686,11 @@ def cheapest_pair(
     Args:
         first, second: candidates of either hand; a hand without a place costs ``ACCEPT_MM``.
     """
-    pairs = [(a, b) for a, b in product([*first, None], [*second, None]) if _are_apart(a, b)]
+    pairs = [
+        (a, b)
+        for a, b in product([*first, None], [*second, None])
+        if a is None or b is None or (_are_apart(a, b) and not _are_on_one_arm(a, b))
+    ]
     return min(pairs, key=lambda pair: sum(ACCEPT_MM if one is None else one.total_cost for one in pair))
 
 
@@ -690,11 +709,20 @@ def least_cost_at(place: Candidate, candidates: Sequence[Candidate]) -> float:
     return min(costs, default=ACCEPT_MM)
 
 
-def _are_apart(first: Candidate | None, second: Candidate | None) -> bool:
-    """Return whether two candidates are different hands; True if one is missing."""
-    if first is None or second is None:
-        return True
+def _are_apart(first: Candidate, second: Candidate) -> bool:
+    """Return whether two candidates are at different places."""
     return bool(np.linalg.norm(first.pose[:3] - second.pose[:3]) > SAME_WRIST_MM)
+
+
+def _are_on_one_arm(first: Candidate, second: Candidate) -> bool:
+    """Return whether the forearms of two candidates point at each other's wrist: a hand and its elbow."""
+    between = second.pose[:3] - first.pose[:3]
+    for arm, way in ((first.inner[:3], between), (second.inner[:3], -between)):
+        length = float(np.linalg.norm(arm))
+        along = float(arm @ way) / length if length > 0.0 else -1.0
+        if not 0.0 < along < _ONE_ARM_MM or along**2 + _ASIDE_MM**2 < float(way @ way):
+            return False
+    return True
 
 
 def cheaper_of(first: Candidate | None, second: Candidate | None) -> Candidate | None:

@@ -241,22 +241,25 @@ def read_shape(shape: str | Path | None) -> GivenShape:
             raise UsageError("folder has no results", where=path, expected=expected)
         return GivenShape("given", assignments=_mean_assignments(results))
     if path.suffix == ".mcap":
-        settings = _settings_of(path)
+        settings, baseline_mm = _settings_of(path)
         # both hands of a person have one shape; how many there are is not part of it
         left_out = {"count", "side"} if settings.count == BOTH else {"count"}
-        return GivenShape("given", assignments=_assignments(settings, left_out))
+        baseline = (f"status.baseline_cost_mm={baseline_mm}",) if baseline_mm else ()
+        return GivenShape("given", assignments=(*_assignments(settings, left_out), *baseline))
     return GivenShape(files=(name,))
 
 
-def _settings_of(path: Path) -> HandSettings:
-    """Return the ``[hand]`` table of a result's run, finished or not.
+def _settings_of(path: Path) -> tuple[HandSettings, float]:
+    """Return the ``[hand]`` table of a result's run, finished or not, and the cost of its good fits, mm.
 
     Raises:
         ResultError: not a hand result.
     """
     run = read_result(path).run
     try:
-        return HandSettings.model_validate(json.loads(run["configuration"])["hand"])
+        configuration = json.loads(run["configuration"])
+        baseline_mm = float(configuration.get("status", {}).get("baseline_cost_mm", 0.0))
+        return HandSettings.model_validate(configuration["hand"]), baseline_mm
     except (KeyError, TypeError, ValueError, RecursionError, ValidationError) as error:
         raise ResultError(
             "result has no hand shape", where=path, expected="a result of posetrack hand run"
@@ -278,7 +281,7 @@ def _mean_assignments(results: Sequence[Path]) -> tuple[str, ...]:
     Raises:
         ResultError: one is not of a hand, or the hands come from different files.
     """
-    each = [_settings_of(path) for path in results]
+    each = [_settings_of(path)[0] for path in results]
     meshes = {one.mesh and str(Path(one.mesh).absolute()) for one in each}
     if len(meshes) > 1:
         found = " and ".join(sorted(str(mesh) for mesh in meshes))

@@ -14,29 +14,32 @@ from posetrack_cli.hand.fit.likelihood import PROPOSALS
 from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.model.anatomy import HandAnatomy
 from posetrack_cli.hand.model.hand import HandModel, space_of, tangent_vector
-from posetrack_cli.hand.start import hand_estimate
+from posetrack_cli.hand.start import hand_estimate, with_doubt
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.smoothing import Describe, FrameFacts
 
 BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
 """Tangent components with a common error: the palm, then each finger."""
-SMOOTH_POSE = ComponentSettings(position_mm=5.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05)
-SMOOTH_VELOCITY = ComponentSettings(
-    position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
-)
+SMOOTH_POSE = ComponentSettings(position_mm=3.0, rotation_rad=0.06, flexion_rad=0.06, abduction_rad=0.03)
+SMOOTH_VELOCITY = ComponentSettings(position_mm=900.0, rotation_rad=15.0, flexion_rad=15.0, abduction_rad=3.6)
 """Noise densities of the motion between fits, as in `MotionSettings`; mostly velocity."""
 _FREEDOM = 4.0
 """Degrees of freedom of the Student-t density of a fit's error."""
 
 
-def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
+def smoothed_hand(anatomy: HandAnatomy, *, is_calibrated: bool = False) -> Describe[Estimate]:
     """Return a function that makes estimates of smoothed states.
 
     Status and confidences are the filter's, which assess the frame itself. Inner numbers are those of the
     filter's fits, which the poses are smoothed with.
+
+    Args:
+        anatomy: the hand.
+        is_calibrated: whether confidence is the probability that an estimate is right.
     """
 
     def describe(smoothed: Smoothed, facts: FrameFacts, memory: Memory) -> Estimate:
+        variance = smoothed.pose_variance
         return hand_estimate(
             anatomy,
             smoothed.pose,
@@ -44,7 +47,7 @@ def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
             memory.get(INNER),
             forearm_confidence=float(memory.get(FOREARM_CONFIDENCE, np.nan)),
             **facts._asdict(),
-            pose_variance=smoothed.pose_variance,
+            pose_variance=with_doubt(variance, facts.confidence) if is_calibrated else variance,
             twist_variance=smoothed.velocity_variance,
             effective_sample_size=None,
             resampled=False,

@@ -53,6 +53,15 @@ class PoseFile(Settings):
     angles_rad: Annotated[tuple[Number, ...], Field(min_length=15, max_length=15)] = (0.0,) * 15
 
 
+def with_doubt(pose_variance: FloatArray, confidence: float) -> FloatArray:
+    """Return the variance (21,) of a pose that is right with a probability, and else as vague as a start.
+
+    By the law of total variance. A wrong estimate is off by about ``START_SPREAD``: with it, 90 % intervals
+    hold 88 to 97 % of the annotated coordinates of three real hands, instead of 42 to 77 %.
+    """
+    return pose_variance + (1.0 - confidence) * tangent_vector(START_SPREAD) ** 2
+
+
 def rest_pose(anatomy: HandAnatomy, centre: FloatArray) -> FloatArray:
     """Return the pose (22,) of an open hand, palm facing the sensor, with its joints' mean at (3,), mm."""
     pose = np.zeros(POSE_SIZE)

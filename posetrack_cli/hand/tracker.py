@@ -13,7 +13,7 @@ from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.model import FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
-from posetrack_cli.hand.confidence import probability, signs_of, with_model_error
+from posetrack_cli.hand.confidence import NO_EVIDENCE, probability, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.likelihood import PROPOSALS, CountedLikelihood, PoseScorer
 from posetrack_cli.hand.fit.skeleton import LOG_GIRTH, NO_INNER, RELAXED_INNER, THUMB
@@ -25,7 +25,7 @@ from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, Decision, Policy, TrackedFrame, TrackMonitor, status_of
 from posetrack_cli.hand.search import ACCEPT_MM, Acquisition, Candidate, detection_penalty, finger_bonus
-from posetrack_cli.hand.start import START_SPREAD, detected_pose, hand_estimate
+from posetrack_cli.hand.start import START_SPREAD, detected_pose, hand_estimate, with_doubt
 from posetrack_cli.hand.state import FrameAssessment, FrameFit, HandState, state_codec
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
@@ -134,25 +134,32 @@ class HandTracker:
         particles, posterior, drawn = self._filter(frame_fit, rng)
         assessment = self._assess(frame_fit, posterior.pose, frame)
         is_seen = frame_fit.observation is not None
+        monitor, evidence = assessment.monitor, assessment.evidence
+        is_first = found is None and frame_fit.restarted and not state.monitor.was_found
+        is_first &= state.frames < self.config.status.lost_after_frames
+        if is_first and self._is_calibrated and probability(evidence) < PROBABLY:
+            # probably another part of the body: search the next frame instead of following it
+            monitor, evidence = state.monitor, NO_EVIDENCE
         new_state = HandState(
             particles,
             frame.stamp_ns,
             posterior.pose,
             posterior.velocity,
-            assessment.monitor,
+            monitor,
             _expected_after(frame_fit),
             frames=state.frames + int(is_seen),
             doubtful=state.doubtful + int(is_seen and assessment.confidence < PROBABLY),
             unseen_ns=0 if is_seen else frame_fit.state.unseen_ns + elapsed_ns,
             dt=max(frame_fit.dt, 0.0),
             cut=frame_fit.restarted,
-            evidence=assessment.evidence,
+            evidence=evidence,
             modes=None if frame_fit.fits is None else frame_fit.fits.modes,
             observation=frame_fit.observation,
         )
         variance = posterior.pose_variance
         if self._is_calibrated:
             variance = with_model_error(variance, assessment.monitor.mean_cost_mm)
+            variance = with_doubt(variance, assessment.confidence)
         estimate = hand_estimate(
             self.anatomy,
             posterior.pose,
@@ -184,9 +191,14 @@ class HandTracker:
         """
         if self._finder is None:
             return []
-        likely = (one for one in self._finder.detect(depth) if detection_penalty(one) < _LIKELY_MM)
+        places = self._finder.detect(depth, is_sized=True)
+        likely = (one for one in places if detection_penalty(one) < _LIKELY_MM)
         found = (one for place in likely for one in self._finder.candidates_at(depth, [place]))
         return [one for one in found if one.cost <= ACCEPT_MM]
+
+    def lookalike(self, depth: ImageArray, place: Candidate) -> Candidate | None:
+        """Return the hand that looks most like one of the other side in an image (height, width), mm."""
+        return None if self._finder is None else self._finder.lookalike(depth, place)
 
     def visible_share(self, depth: ImageArray, found: Candidate) -> float:
         """Return the share of a hand in an image (height, width), mm, that no other hand hides."""
@@ -283,7 +295,8 @@ class HandTracker:
                 ),
                 steps,
             )
-        confidence = probability(evidence) if quality and self._is_calibrated else quality
+        is_probability = quality > 0.0 and self._is_calibrated
+        confidence = probability(evidence, settings.shape_doubt) if is_probability else quality
         confidence *= settings.hand_probability * min(1.0, outline.visible / _CLEARLY_VISIBLE)
         is_tracked = (
             has_outline and monitor.is_tracked and not (self._is_calibrated and confidence < PROBABLY)

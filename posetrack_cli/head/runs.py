@@ -5,9 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import FaceSettings, HeadMonoConfig, HeadStereoConfig, SkinSettings
+from posetrack_cli.head.config import (
+    FaceSettings,
+    HeadMonoConfig,
+    HeadStereoConfig,
+    PersonSettings,
+    SkinSettings,
+)
 from posetrack_cli.head.lens.estimation import estimate_lens
 from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
@@ -15,9 +22,9 @@ from posetrack_cli.head.run import HeadRun, HeadRunOptions, check_head_run
 from posetrack_cli.head.several_run import HeadsRun
 from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject, with_dense_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
-from posetrack_cli.head.tracker.mono import MonoPeople, make_mono_people, make_mono_tracker
-from posetrack_cli.head.tracker.several import HeadsTracker, of_head, people_of
-from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
+from posetrack_cli.head.tracker.mono import MonoPeople, MonoTracker, make_mono_people, make_mono_tracker
+from posetrack_cli.head.tracker.several import make_heads_tracker, of_head
+from posetrack_cli.head.tracker.stereo import StereoTracker, components_of, make_stereo_tracker
 from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
@@ -27,25 +34,38 @@ from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
 def make_stereo_run(
-    source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report
+    source: Recording,
+    config: HeadStereoConfig,
+    options: HeadRunOptions,
+    first_pass: Report,
+    *,
+    all_faces: bool = False,
 ) -> HeadRun:
-    """Return a run of the tracker for several cameras; see ``HeadRun``."""
-    clicked = None if options.init is None else Path(options.init)
+    """Return a run of the tracker for several cameras, of one head or of all; see ``HeadRun``.
 
-    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        return make_stereo_tracker(
-            config, source.cameras, known, clicked=clicked, landmarks=options.landmarks
-        )
+    Raises:
+        UsageError: an option applies to one head.
+    """
+    cameras, clicked = source.cameras, None if options.init is None else Path(options.init)
 
-    return HeadRun(
+    def make_one(known: Learned | None, trail: FloatArray | None = None) -> StereoTracker:
+        return make_stereo_tracker(config, cameras, known, clicked=clicked, landmarks=options.landmarks)
+
+    def make_all(known: Learned | None) -> LearningTracker[Any]:
+        return make_heads_tracker(cameras, known, make_one)
+
+    if all_faces:
+        _check_of_all(config, options)
+    return (HeadsRun if all_faces else HeadRun)(
         source,
         config,
         options,
         name="head-stereo",
-        subject=_subject(head_subject(source.cameras[0].name, components_of(config)), config),
+        subject=_subject(head_subject(cameras[0].name, components_of(config)), config),
         flush_frames=config.output.flush_frames,
-        make_tracker=make_tracker,
+        make_tracker=make_all if all_faces else make_one,
         first_pass=first_pass,
+        extra_record={"face": "all"} if all_faces else {},
     )
 
 
@@ -148,47 +168,39 @@ def make_heads_run(
     source, lens = _with_lens(source, config, options, 1, fov_is_given=fov_is_given)
     (camera,) = source.cameras
 
-    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        if known is None:
-            return HeadsTracker(camera, [make_mono_tracker(config, camera, lens=lens, follows_one=True)])
-        people = people_of(known)
-        trackers = [
-            make_mono_tracker(config, camera, one, lens=of_head(lens, trail), follows_one=True)
-            for one, trail in people
-        ]
-        return HeadsTracker(camera, trackers, [trail for _, trail in people])
+    def make_one(known: Learned | None, trail: FloatArray) -> MonoTracker:
+        return make_mono_tracker(config, camera, known, lens=of_head(lens, trail), follows_one=True)
 
-    run = HeadsRun(
+    return HeadsRun(
         source,
         config,
         options,
         name="head-mono",
         subject=_subject(mono_subject(camera.name, model), config),
         flush_frames=config.output.flush_frames,
-        make_tracker=make_tracker,
+        make_tracker=lambda known: make_heads_tracker((camera,), known, make_one),
         origin=model.deformation_mean,
         first_pass=first_pass,
         extra_record=_stated(source, lens, file, "all", "prior"),
     )
-    run.check_passes()
-    return run
 
 
-def _check_of_all(config: HeadMonoConfig, options: HeadRunOptions) -> None:
-    """Raise UsageError for options that apply to one person."""
+def _check_of_all(config: HeadMonoConfig | HeadStereoConfig, options: HeadRunOptions) -> None:
+    """Raise UsageError unless there are two passes, and for options that apply to one person."""
+    if config.run.passes != 2:
+        hint = "add --passes 2, or track one face"
+        raise UsageError("all faces require two passes", found=config.run.passes, hint=hint)
     given = {
         "--init": options.init,
         "--landmarks": options.landmarks,
         "--load-model": options.load_model,
         "--save-model": options.save_model,
         "--person": options.person,
-        "--interpupillary-mm": config.person.interpupillary_mm,
+        "--interpupillary-mm": getattr(config, "person", PersonSettings()).interpupillary_mm,
     }
     for name, value in given.items():
         if value is not None:
-            raise UsageError(
-                f"{name} applies to one face", hint="leave out --faces all, or choose one with --face N"
-            )
+            raise UsageError(f"{name} applies to one face", hint="leave out --faces all")
 
 
 def guess_note(run: HeadRun, option: str) -> str:

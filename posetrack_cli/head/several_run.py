@@ -1,4 +1,4 @@
-"""Runs that track all heads in the images of one camera: one result with a track per person."""
+"""Runs that track all heads in the images: one result with a track per person."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
-from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.errors import ResultError
 from posetrack_cli.head.run import HeadRun
 from posetrack_cli.head.smoothing.frames import HeadMemory
 from posetrack_cli.head.tracker.several import HeadsState, HeadsTracker
@@ -26,18 +26,9 @@ class HeadsRun(HeadRun):
     """Run of ``HeadsTracker`` over a recording, with two passes; see ``HeadRun``.
 
     The first pass finds the people. With a single one, the result is that of a run with one head.
-
-    Raises:
-        UsageError: the configuration has one pass; see also ``HeadRun``.
     """
 
     tracker: HeadsTracker
-
-    def check_passes(self) -> None:
-        """Raise UsageError unless there are two passes."""
-        if self._passes != 2:
-            hint = "leave out --passes 1, or track one with --face N"
-            raise UsageError("all faces require two passes", found=self._passes, hint=hint)
 
     @contextmanager
     def open_memory(self, writer: ResultWriter) -> Iterator[FrameMemory | None]:

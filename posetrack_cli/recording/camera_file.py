@@ -439,6 +439,14 @@ def depth_storage(settings: DepthCamera | None, options: Mapping[str, Any]) -> t
     return stated.depth_unit_mm, stated.missing
 
 
+def used_window(
+    crop: tuple[int, int, int, int] | None, file: DepthCamera | Rig | None, options: Mapping[str, Any]
+) -> Window:
+    """Return the used part of a camera's images from options or a camera file."""
+    mirror = options.get("mirror")
+    return Window(crop, bool(file and file.mirror) if mirror is None else mirror)
+
+
 def load_rig(path: Path) -> Rig:
     """Read the camera file of one or several grey cameras.
 

@@ -18,13 +18,18 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.decoding import VALUE_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.recording.base import UnreadableImageError, no_intrinsics
-from posetrack_cli.recording.camera_file import camera_record, depth_storage, image_camera, load_depth_camera
+from posetrack_cli.recording.camera_file import (
+    camera_record,
+    depth_storage,
+    image_camera,
+    load_depth_camera,
+    used_window,
+)
 from posetrack_cli.recording.camera_of import ImageCamera
 from posetrack_cli.recording.depth import MM_PER_M, Depth
 from posetrack_cli.recording.description import described_cameras, try_open
 from posetrack_cli.recording.identity import file_digest, identity_record
 from posetrack_cli.recording.message_topics import FileTopics, Topic
-from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.video import VideoImages, describe_video
 from posetrack_cli.recording.video_file import (
@@ -98,11 +103,7 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
         found = ImageCamera(_own_camera(path, width, height), f"attachment {CALIBRATION}")
     else:
         found = image_camera(settings, file, (width, height))
-    mirror = options.get("mirror")
-    window = Window(
-        None if settings is None else settings.crop,
-        bool(settings and settings.mirror) if mirror is None else mirror,
-    )
+    window = used_window(None if settings is None else settings.crop, settings, options)
     stream = CameraStream(window.camera(found.camera), video.pixels, partial(video.images, window))
 
     def identity() -> Mapping[str, str]:

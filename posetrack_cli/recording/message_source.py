@@ -53,6 +53,7 @@ from posetrack_cli.recording.camera_file import (
     load_depth_camera,
     load_rig,
     nominal_hint,
+    used_window,
 )
 from posetrack_cli.recording.camera_of import (
     GUESSED,
@@ -127,7 +128,7 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
         found = camera_of_topic(topics, source, calibration)
     else:
         found = image_camera(settings, file, source.size, source.name)
-    window = _window(settings.crop if settings else None, settings, options)
+    window = used_window(settings.crop if settings else None, settings, options)
     sensor_mm = depth_unit_mm(topics, topic) if stated_mm is None else None
     decision = (
         decide_unit(_early_content(topics, source, found.camera, missing), stated_mm)
@@ -180,7 +181,7 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
     sources = [_with_bits(topics, source, bits.get(source.name)) for source in sources]
     if options.get("in_colour"):
         sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
-    windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
+    windows = [used_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
     shifts = Shifts()
     streams = [
         _TopicImages(path, source, window, each.calibration, each.frame, shifts).stream(each.camera)
@@ -375,13 +376,6 @@ def _choice_remark(
     return (
         (f"{what} read from {source.topic.name}; choose another with {option}: {others}",) if others else ()
     )
-
-
-def _window(
-    crop: tuple[int, int, int, int] | None, file: DepthCamera | Rig | None, options: ReadingOptions
-) -> Window:
-    mirror = options.get("mirror")
-    return Window(crop, bool(file and file.mirror) if mirror is None else mirror)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,8 @@ from posetrack_cli.results.fields import (
 Columns: TypeAlias = dict[str, np.ndarray[Any, Any]]
 
 BLOCK_FRAMES = 1000
+FEW_FRAMES = 250
+"""Frames that are decoded in the processor's cache."""
 _GROWTH_FRAMES = 4096
 
 _STATUSES = np.array([status.value for status in Status])
@@ -155,33 +157,43 @@ _PATTERNS = {
     "number": rb"(" + _N + rb")",
     "boolean": rb"(true|false)",
     "string": rb'"(\w++)"',
-    "array": rb"\[([-+.,0-9eE]*+)\]",
-    "points": rb'\[((?:\{"x":' + _N + rb',"y":' + _N + rb',"z":' + _N + rb"\},?+)*+)\]",
+    "array": rb"\[([^]]*+)\]",
     "object": rb'(\{(?:"[^"\\]*+":' + _N + rb",?+)*+\})",
 }
+_OF_NUMBERS = b"-+.0123456789eE"
+_POINT = b'{"x":,"y":,"z":}'
+Texts: TypeAlias = tuple[bytes | None, ...]
+"""Texts of the fields in ``BY_NAME``, arrays without brackets; None for missing ones."""
+
+
+class _OtherLayoutError(ValueError):
+    """Arrays of a block are not written as by ``estimate_to_json``, or are not arrays of numbers."""
 
 
 def _pattern(field: Field) -> bytes:
-    value = _PATTERNS[field.name if field.name in _PATTERNS else field.json_type]
+    value = _PATTERNS[field.json_type]
     return b'(?:,?"%b":%b)%b' % (field.name.encode(), value, b"" if field.required else b"?+")
 
 
 _LAYOUT = re.compile(rb"\{" + b"".join(map(_pattern, BY_NAME.values())) + rb"\}")
 
 
-def _texts(data: bytes) -> tuple[bytes | None, ...]:
-    """Return the text of each field in ``BY_NAME``, arrays without brackets; None for missing ones.
+def _texts(data: bytes) -> Texts:
+    """Return the texts of a message; those of arrays are not checked yet.
 
     Raises:
-        ValueError: the message is not an estimate; numbers of the usual layout are not checked yet.
+        ValueError: the message is not an estimate.
     """
     found = _LAYOUT.fullmatch(data) if len(data) <= limits.MESSAGE_BYTES else None
-    if found:
-        return found.groups()
+    return found.groups() if found else _usual_texts(data)
+
+
+def _usual_texts(data: bytes) -> Texts:
+    """Return the texts of a message in the layout of ``estimate_to_json``; raise ValueError as ``_texts``."""
     values = parse_fields(data)
-    values["points"] = [point[axis] for point in values["points"] for axis in "xyz"]
-    texts = (values.get(name) for name in BY_NAME)
-    return tuple(None if text is None else json.dumps(text).strip('"[]').encode() for text in texts)
+    values["points"] = [{axis: point[axis] for axis in "xyz"} for point in values["points"]]
+    texts = (json.dumps(values.get(name), separators=(",", ":")).encode() for name in BY_NAME)
+    return tuple(None if text == b"null" else text.strip(b'"[]') for text in texts)
 
 
 def _sizes_of(data: bytes, numbers: int) -> Sizes:
@@ -192,33 +204,66 @@ def _sizes_of(data: bytes, numbers: int) -> Sizes:
 def _decoded(
     messages: Sequence[bytes], fields: Collection[str], sizes: Sizes, number_names: Sequence[str]
 ) -> Columns:
-    texts = dict(zip(BY_NAME, zip(*map(_texts, messages), strict=True), strict=True))
-    texts["points"] = tuple(text.translate(None, b'{}"xyz:') for text in texts["points"])
-    columns = {}
-    for name, empty in empty_columns(fields, sizes).items():
-        if name == "status":
+    try:
+        return _columns([*map(_texts, messages)], empty_columns(fields, sizes), number_names)
+    except _OtherLayoutError:
+        return _columns([*map(_usual_texts, messages)], empty_columns(fields, sizes), number_names)
+
+
+def _columns(rows: Sequence[Texts], columns: Columns, number_names: Sequence[str]) -> Columns:
+    """Fill columns without rows."""
+    texts = dict(zip(BY_NAME, zip(*rows, strict=True), strict=True))
+    for name, field in BY_NAME.items():
+        if name not in columns:
+            if field.json_type == "array":
+                _check_array(name, texts[name])
+        elif name == "status":
             columns[name] = np.take(_STATUSES, [_STATUS_CODES[text] for text in texts[name]])
         elif name == "resampled":
             columns[name] = np.array([text == b"true" for text in texts[name]])
+        elif name == NUMBERS:
+            columns[name] = np.array(_named_numbers(texts[name], number_names)).reshape(len(rows), -1)
+            _check_range(name, columns[name])
         else:
-            named = number_names if name == NUMBERS else None
-            values = _numbers(texts[name], math.prod(empty.shape[1:]), named)
-            column = np.array(values, dtype=empty.dtype).reshape(len(messages), *empty.shape[1:])
+            shape = columns[name].shape[1:]
+            values = _numbers(name, texts[name], math.prod(shape))
+            column = np.fromiter(values, field.column, len(values)).reshape(len(rows), *shape)
+            if not field.required and None in texts[name]:
+                column[[text is None for text in texts[name]]] = np.nan
             _check_range(name, column)
             columns[name] = column
     return columns
 
 
-def _numbers(texts: Sequence[bytes | None], size: int, names: Sequence[str] | None) -> list[Any]:
-    """Return the numbers of all texts, ``size`` of each, NaN for None; ``names`` are those of objects."""
-    if names is not None:
-        objects = from_json(b"[%b]" % b",".join(text or b"{}" for text in texts))
-        return [found.get(name, math.nan) for found in objects for name in names]
-    missing = b",".join([b"NaN"] * size)
+def _check_array(name: str, texts: Sequence[bytes | None]) -> None:
+    """Raise _OtherLayoutError unless the texts consist of points or of numbers."""
+    joined = b",".join(text for text in texts if text).translate(None, _OF_NUMBERS)
+    if (joined.replace(_POINT, b"") if name == "points" else joined).strip(b","):
+        raise _OtherLayoutError(f"{name} is not an array of numbers")
+
+
+def _named_numbers(texts: Sequence[bytes | None], names: Sequence[str]) -> list[float]:
+    """Return the numbers with these names in the texts of objects; NaN for missing ones."""
+    objects = from_json(b"[%b]" % b",".join(text or b"{}" for text in texts))
+    return [found.get(name, math.nan) for found in objects for name in names]
+
+
+def _numbers(name: str, texts: Sequence[bytes | None], size: int) -> list[Any]:
+    """Return the numbers of all texts, ``size`` of each and 0 for None."""
+    if not size:
+        if any(texts):
+            raise ValueError("different number of entries")
+        return []
+    usual = b",".join([_POINT] * (size // 3)) if name == "points" else b"," * (size - 1)
+    missing, commas = b"0" + b",0" * (size - 1), size - 1
     filled = [missing if text is None else text for text in texts]
-    if any(text.count(b",") != size - 1 for text in filled) if size else any(filled):
-        raise ValueError("different number of entries")
-    return cast("list[Any]", from_json(b"[%b]" % b",".join(filled))) if size else []
+    joined = b",".join(filled)
+    usual = b",".join([usual] * len(filled))
+    # Counted, too, as the numbers that one text lacks may be in the next.
+    if joined.translate(None, _OF_NUMBERS) != usual or any(text.count(b",") != commas for text in filled):
+        raise _OtherLayoutError("different number of entries")
+    numbers = joined.translate(None, b'{}":xyz') if name == "points" else joined
+    return cast("list[Any]", from_json(b"[%b]" % numbers))
 
 
 def _check_range(name: str, column: np.ndarray[Any, Any]) -> None:

@@ -44,7 +44,6 @@ class Field:
         shape: array shape; None for scalars.
         required: whether every message has it; otherwise missing values are NaN in columns.
         column: numpy type of its column.
-        code: ``array.array`` type code used while collecting the column.
         unit: unit in exports; empty for none.
         meaning: description of its column in exported tables; arrays have one per part there.
     """
@@ -56,7 +55,6 @@ class Field:
     shape: Shape | None = None
     required: bool = True
     column: Any = np.float64
-    code: str = "d"
     unit: str = ""
     meaning: str = ""
 
@@ -89,7 +87,6 @@ FIELDS = (
         "Position of the frame in the recording, counted from 0.",
         COUNT,
         column=np.int64,
-        code="q",
         meaning="position of the frame in the recording, counted from 0",
     ),
     Field(
@@ -98,7 +95,6 @@ FIELDS = (
         "Time of the frame, nanoseconds; equal to the log time.",
         COUNT,
         column=np.int64,
-        code="q",
         unit="ns",
         meaning="time of the frame",
     ),
@@ -108,7 +104,6 @@ FIELDS = (
         "tracking: supported by this frame; lost: no longer on the subject; reinitialised: detected again.",
         schemas.literal_schema(_STATUSES),
         column=np.array(_STATUSES).dtype,
-        code="b",
         meaning="tracking, lost or reinitialised",
     ),
     Field(
@@ -203,7 +198,6 @@ FIELDS = (
         "Whether the particles were resampled after this estimate.",
         TRUTH_VALUE,
         column=np.bool_,
-        code="b",
         meaning="1 if the particles were resampled after this frame, else 0",
     ),
     Field(

@@ -32,7 +32,7 @@ from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
 from posetrack_cli.recording.camera_record import CAMERAS_RECORD, camera_from_json, cameras_from_record
 from posetrack_cli.results.columns import (
-    BLOCK_FRAMES,
+    FEW_FRAMES,
     BlockReader,
     Columns,
     Joiner,
@@ -288,7 +288,7 @@ class Result:
         """
         numbers = {topic: names.get(topic, self.subject.number_names) for topic in wanted}
         readers = {
-            topic: BlockReader(fields, BLOCK_FRAMES, f"{self.path}, {topic}", numbers[topic])
+            topic: BlockReader(fields, FEW_FRAMES, f"{self.path}, {topic}", numbers[topic])
             for topic, fields in wanted.items()
         }
         grown = {topic: Joiner() for topic in wanted}

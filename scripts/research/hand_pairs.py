@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.measuring.catalogue import figure_of
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames, pooled_frames, roc_area
 from posetrack_cli.evaluation.measuring.subjects.hand import FAR_MM
 from posetrack_cli.evaluation.reading.tracks import associate, track_of_result
 from posetrack_cli.evaluation.reading.truth import load_truth
@@ -31,7 +32,7 @@ COLUMNS = (
     Column("lost", "lost", 0, whole="sum"),
     Column("far", f"> {FAR_MM:g} mm off, not lost", 2, percent=True),
     Column("swapped", "frames with the other hand", 0, whole="sum"),
-    Column("inside_90", "in 90 % intervals", 1, percent=True),
+    Column("joint_inside_90", "offsets removed: in 90 % intervals", 1, percent=True),
     Column("right_alone", "right alone: frames on it", 1, percent=True),
 )
 MOST = {260: (2.6, 4.8), 120: (5.0, 9.0)}
@@ -68,11 +69,13 @@ def report(people: tuple[int, ...], files: Files, report: Report) -> None:
         f"Defaults, {FRAMES} frames; per recording the mean of both hands. Frames with the other hand: not "
         "lost, and nearer to the other hand's truth. Right alone: `--hands 1 --hand-side right`.",
     )
+    judged: list[JudgedFrames] = []
     for apart in APART_MM:
         rows = {}
         for person in people:
             result, alone = (files.made(f"runs/{name_of(person, apart)}{end}.mcap") for end in ("", "-right"))
             row = {} if result is None else _figures(result)
+            judged += [] if result is None else _judged(result)
             if alone is not None:
                 errors = _errors(read_result(alone), "right")
                 row["right_alone"] = float(np.mean(errors < hands.OFF_MM))
@@ -87,10 +90,22 @@ def report(people: tuple[int, ...], files: Files, report: Report) -> None:
         ):
             report.judge(f"{what}, {title}", over(figures, column), most=most)
         report.judge(f"{what}: frames far off, not lost", over(figures, "far"), most=0.01, percent=True)
+        inside = over(figures, "joint_inside_90")
+        report.judge(f"{what}: in 90 % intervals", inside, least=0.75, most=0.97, digits=1, percent=True)
         for title, column, least in (("sides right", "sides", 2.0), ("no swap", "swapped", 0.0)):
             right = values_of(figures, column) == least
             count = float(right.sum()) if len(right) else None
             report.judge(f"{what}: {title}, of {len(right)}", count, least=len(right), digits=0)
+    pooled = pooled_frames(judged) if judged else None
+    area = None if pooled is None else roc_area(pooled.confidence, pooled.right)
+    report.judge("confidence, all hands pooled: area under the ROC curve", area, least=0.9, digits=3)
+
+
+def _judged(path: Path) -> list[JudgedFrames]:
+    """Return the frames of all hands of a result, judged right or wrong."""
+    options = (replace(hands.RAW, label=label) for label in read_result(path).labels)
+    every = (hands.evaluated(path, one).judged for one in options)
+    return [one for one in every if one is not None]
 
 
 def _figures(path: Path) -> dict[str, float]:
@@ -112,6 +127,7 @@ def _of_hand(result: Result, side: str, other: str) -> dict[str, float]:
     found = {name: figure_of(evaluation, address).value for name, address in hands.ADDRESSES.items()}
     without = hands.evaluated(result.path, replace(hands.WITHOUT_OFFSETS, label=side))
     found["error_without_offsets_mm"] = figure_of(without, hands.ADDRESSES["error_mm"]).value
+    found["joint_inside_90"] = figure_of(without, "joint_inside_90").value
     frames = hands.frames_of(evaluation)
     assert frames is not None
     others = _errors(result.of(side), other)

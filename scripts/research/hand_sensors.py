@@ -2,12 +2,14 @@
 
 ``python -m research.hand_sensors OUT --sensor d435 --people 800-807`` writes folders ``OUT/d435-800`` with
 ``depth/`` and ``truth.csv``, for ``hand run`` and ``eval --truth``. People and motions are
-those of ``reproduce hand-strangers``, rendered with the sensor's camera before a body and a wall.
+those of ``reproduce hand-strangers``, rendered with the sensor's camera before a body and a wall. ``--track``
+also tracks them and prints errors, lengths and intervals.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,12 +18,19 @@ import click
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.evaluation.measuring.catalogue import figure_of
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import HandSettings
+from posetrack_cli.hand.model.hand import hand_model
+from posetrack_cli.hand.shape_fit import measures_of
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.synthesis.hand.frames import quantised
 from posetrack_cli.synthesis.hand.sensors import SENSORS
+from research import hands
+from research.hand_accuracy import NO_MESH
 from research.hand_strangers import Person, people_of
-from research.runner import SHARED
+from research.runner import SHARED, command
 
 PNG_LEVEL = 1
 
@@ -96,17 +105,49 @@ def posed(tool: Any, hand: Any, motion: Any, k: int, *, shows_back: bool) -> tup
     return np.concatenate([vertices, tool.upper_arm(elbow)]), joints
 
 
+def figures_of(folder: Path) -> str:
+    """Track a recording; return its errors, lengths against the truth's, and coverage of intervals as a line.
+
+    The length from the wrist includes the rig's definition of the wrist, the middle finger's does not.
+    """
+    result, truth = folder / "result.mcap", folder / "truth.csv"
+    command("hand", "run", str(folder / "depth"), "-o", str(result), "--overwrite", "--hands", "1", *NO_MESH)
+    raw, moved = (
+        hands.evaluated(result, EvalOptions(truth=truth, joint_offsets=offsets)) for offsets in (None, "bone")
+    )
+    hand = hand_model(HandSettings.model_validate(json.loads(raw.run["configuration"])["hand"])).anatomy
+    assert raw.truth is not None and raw.truth.points is not None
+    joints = dict(zip(raw.truth.point_names, raw.truth.points[0], strict=True))
+    chain = [joints[name] for name in ("wrist", *(f"middle_{part}" for part in ("mcp", "pip", "dip", "tip")))]
+    bones = np.linalg.norm(np.diff(chain, axis=0), axis=1)
+    lengths = measures_of(hand)[[0, 5]] / (bones.sum(), bones[1:].sum()) - 1.0
+    parts = [(moved, "joint_error_mm.mean"), (raw, "fingertip_error_mm.mean")]
+    error, tips, inside, inside_moved, lost = (
+        figure_of(of, name).value
+        for of, name in (*parts, (raw, "joint_inside_90"), (moved, "joint_inside_90"), (raw, "lost"))
+    )
+    return (
+        f"{folder.name}: {error:.2f} mm after offsets, fingertips {tips:.2f} mm, length {lengths[0]:+.1%}, "
+        f"middle finger {lengths[1]:+.1%}, inside 90 % {inside:.2f} raw, {inside_moved:.2f} after offsets, "
+        f"{lost:.0f} lost"
+    )
+
+
 @click.command(help=__doc__)
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--sensor", type=click.Choice(sorted(SENSORS)), required=True, help="Simulated sensor.")
 @click.option("--people", default="20-27", show_default=True, help="People, e.g. 20-27,800.")
 @click.option("--frames", default=90, show_default=True, help="Frames per recording.")
 @click.option("--tool", type=click.Path(path_type=Path), default=SHARED / "tools" / "foreign_hand.py")
-def main(out: Path, sensor: str, people: str, frames: int, tool: Path) -> None:
+@click.option("--track", is_flag=True, help="Track the recordings and print figures.")
+def main(out: Path, sensor: str, people: str, frames: int, tool: Path, *, track: bool) -> None:
     """Write the recordings."""
     loaded = tool_of(tool, SENSORS[sensor].camera)
     for person in people_of(people, final=False):
-        draw(loaded, person, frames, sensor, out / f"{sensor}-{person.number}")
+        folder = out / f"{sensor}-{person.number}"
+        draw(loaded, person, frames, sensor, folder)
+        if track:
+            click.echo(figures_of(folder))
 
 
 if __name__ == "__main__":

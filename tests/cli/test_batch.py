@@ -44,9 +44,9 @@ FRAMES = 4
 CHUNK_S, OVERLAP_S = 1.0, 0.3
 LONG_RATE_HZ, LONG_FRAMES = 30.0, 50
 """Two pieces of the shortest that there are."""
-TIMEOUT_S = "20"
-"""One worker waits for what takes too long, which is begun first, while the other does the rest, for about as
-long. What does not takes two seconds, on two busy cores three."""
+TIMEOUT_S = "14"
+"""One worker waits for what takes too long, which is begun first, while the other does the rest until it is
+killed. What does not take too long takes two seconds, on two busy cores three."""
 
 HOOK = '''
 """Makes things go wrong in the processes of jobs, by the names of recordings, while a file says so."""
@@ -77,13 +77,13 @@ def synth(path: Path, seed: int, *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Nine, of which one is damaged; the others are of three motions."""
+    """Six, of which one is damaged; the others are of two motions."""
     folder = tmp_path_factory.mktemp("in")
-    made = [synth(folder / f"a{seed}.mcap", seed) for seed in (1, 2, 3)]
+    made = [synth(folder / f"a{seed}.mcap", seed) for seed in (1, 2)]
     shutil.copy(made[0], folder / "0-sleeps.mcap")
     (folder / "day").mkdir()
-    for k, name in enumerate(("aborts", "kills", "b1", "b2")):
-        shutil.copy(made[k % 3], folder / "day" / f"{name}.mcap")
+    for recording, name in zip(made, ("aborts", "kills"), strict=True):
+        shutil.copy(recording, folder / "day" / f"{name}.mcap")
     (folder / "damaged.mcap").write_bytes(made[0].read_bytes()[:20_000])
     return folder
 
@@ -170,7 +170,7 @@ def test_a_cluster_in_which_things_go_wrong(
     done = run_batch(*common, "--scheduler-file", cluster, "--timeout", TIMEOUT_S, "--junit", junit)
     wrong = {"day/aborts", "0-sleeps", "damaged"}
     found = states(out)
-    assert len(found) == 9
+    assert len(found) == 6
     assert {name for name, state in found.items() if state != "done"} == wrong, done.stderr
     assert (hooked / "killed").exists()  # a worker died, and another one did its job
     assert done.returncode == 3
@@ -182,7 +182,7 @@ def test_a_cluster_in_which_things_go_wrong(
     }
     assert failures == wrong
 
-    for name, recording in (("a1", "a1"), ("day/kills", "a2"), ("day/b1", "a3")):
+    for name, recording in (("a1", "a1"), ("day/kills", "a2")):
         alone = single(recordings / f"{recording}.mcap", tmp_path / f"alone-{recording}.mcap")
         assert read_result(out / f"{name}.mcap").run["input.name"] == f"{Path(name).name}.mcap"
         if name == recording:
@@ -379,7 +379,7 @@ def test_a_dry_run_changes_nothing(
 ) -> None:
     arguments = ["batch", "hand", "run", f"{recordings}/a*.mcap", "-o", str(tmp_path / "out"), "--dry-run"]
     assert run(arguments) == 0
-    assert capsys.readouterr().out.count("track: ") == 3
+    assert capsys.readouterr().out.count("track: ") == 2
     assert not (tmp_path / "out").exists()
 
 

@@ -387,11 +387,17 @@ def test_a_tolerance_is_exact_in_nanoseconds() -> None:
     assert EvalOptions(tolerance_ms=0.0).tolerance_ns == 0
 
 
-def test_measuring_imports_no_drawing() -> None:
+def test_measuring_loads_no_drawing_and_no_compiler(tmp_path: Path) -> None:
+    """A compiler takes .3 s and 100 MiB; metrics of joints need their derivatives, too."""
+    own = estimates(HAND, 3)
+    path = write_result(tmp_path / "a.mcap", HAND, own, truths(own))
     code = (
-        "import sys; import posetrack_cli.evaluation.measuring.evaluate; "
-        "import posetrack_cli.evaluation.measuring.without_truth; "
-        "print([name for name in sys.modules if 'evaluation.viewing' in name or 'evaluation.html' in name])"
+        "import sys, pathlib, numpy; from posetrack_cli.evaluation.measuring.evaluate import evaluate; "
+        "from posetrack_cli.hand.model import anatomy, kinematics; evaluate(pathlib.Path(sys.argv[1])); "
+        "kinematics.joint_jacobian(anatomy.make_anatomy(), numpy.ones((1, 22))); "
+        "print([name for name in sys.modules if 'evaluation.viewing' in name or 'evaluation.html' in name "
+        "or name in ('numba', 'scipy', 'cv2')])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", code, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -11,7 +11,14 @@ import pytest
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand import autodetect
 from posetrack_cli.hand import autodetect as trial
-from posetrack_cli.hand.autodetect import KNOWN_HAND_MM, MAX_FRAMES, detect_hand, is_size_unknown
+from posetrack_cli.hand.autodetect import (
+    FEW_FRAMES,
+    KNOWN_HAND_MM,
+    MAX_FRAMES,
+    SHAPE_DOUBT,
+    detect_hand,
+    is_size_unknown,
+)
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import HandShape
 from posetrack_cli.hand.observe.detection import Detection
@@ -113,6 +120,24 @@ def say_costs(
     monkeypatch.setattr(Acquisition, "appraise", appraise)
     monkeypatch.setattr(trial, "FRAME_STRIDE", 1)
     return told
+
+
+def test_a_shape_from_few_frames_is_doubted(seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """If it is estimated at all: not for a hand that the average one explains."""
+    monkeypatch.setattr(autodetect, "_shape", lambda *arguments: None)
+    monkeypatch.setattr(autodetect, "_counted", lambda recording, config, start, scale: one_of(config))
+    doubts = []
+    for start, cost_mm in (
+        (FRAMES - FEW_FRAMES, 5.0),
+        (FRAMES - FEW_FRAMES + 1, 5.0),
+        (FRAMES - FEW_FRAMES + 1, 1.0),
+    ):
+        monkeypatch.setattr(
+            Acquisition, "appraise", lambda self, depth, places, *more, cost_mm=cost_mm: (cost_mm, places)
+        )
+        found = detect_hand(open_path(seen[1]), HandConfig(), start=start)
+        doubts.append(found.config.status.shape_doubt)
+    assert doubts == [0.0, SHAPE_DOUBT, 0.0]
 
 
 def test_costs_that_hardly_differ_are_said_to_with_a_probability(

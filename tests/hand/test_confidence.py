@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.confidence import NO_EVIDENCE, probability, signs_of, with_model_error
+from posetrack_cli.hand.model.hand import tangent_vector
+from posetrack_cli.hand.start import START_SPREAD, with_doubt
 
 
 def of_frames(*signs: FloatArray) -> float:
@@ -72,3 +74,16 @@ def test_what_fits_leave_beyond_noise_widens_the_position_alone(first: float, se
     np.testing.assert_array_equal(more[3:], variance[3:])
     np.testing.assert_array_equal(with_model_error(variance, 2.0), variance)
     assert with_model_error(variance, 4.0)[0] == pytest.approx(0.1 + 1.2**2)
+
+
+@given(st.floats(0.0, 1.0))
+def test_a_doubtful_estimate_has_the_variance_of_a_mixture(confidence: float) -> None:
+    """In a sample, the right share has the filter's variance, the rest that of a start in addition."""
+    variance, spread = np.full(21, 4.0), tangent_vector(START_SPREAD)
+    count = 10**4
+    right = round(count * confidence)
+    unit = np.tile([-1.0, 1.0], count // 2)[:, None]  # of variance 1 exactly, in any even part
+    of_each = np.where(np.arange(count)[:, None] < right, variance, variance + spread**2)
+    sample = unit * np.sqrt(of_each)
+    np.testing.assert_allclose(with_doubt(variance, right / count), (sample**2).mean(axis=0), rtol=1e-9)
+    np.testing.assert_array_equal(with_doubt(variance, 1.0), variance)

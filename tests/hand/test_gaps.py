@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand import tracker as hand_tracker
 from posetrack_cli.hand.config import HandConfig, StatusSettings
 from posetrack_cli.hand.policy import TrackMonitor
 from posetrack_cli.recording.base import Frame
@@ -71,3 +72,29 @@ def test_doubt_about_side_or_size_is_part_of_the_confidence(device: RenderingDev
         assert (estimate.status is Status.LOST) == (probability < 0.5)
         confidences.append(estimate.confidence)
     assert confidences[1] == pytest.approx(0.4 * confidences[0], rel=1e-6)
+
+
+def test_doubt_about_a_shape_lowers_the_log_odds(device: RenderingDevice) -> None:
+    pose, odds = relaxed(), []
+    frame = Frame(0, 0, (Stage(device, HAND).depth(pose),))
+    for doubt in (0.0, 4.0):
+        config = HandConfig.model_validate({"status": {"shape_doubt": doubt}})
+        follower, rng = tracker(device, HAND, config), np.random.default_rng(1)
+        _, estimate = follower.step(follower.start_unknown(pose, frame, rng), frame, rng)
+        odds.append(estimate.confidence / (1.0 - estimate.confidence))
+    assert odds[1] == pytest.approx(odds[0] * np.exp(-4.0), rel=1e-6)
+
+
+def test_a_doubtful_start_is_dropped_and_the_next_frame_searched(
+    device: RenderingDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hand then starts as in its first frame: with no sign of the doubtful one, and not reinitialised."""
+    pose, follower, rng = relaxed(), tracker(device, HAND, HandConfig()), np.random.default_rng(1)
+    frames = [Frame(k, k * 33_333_333, (Stage(device, HAND).depth(pose),)) for k in range(2)]
+    start = follower.start_unknown(pose, frames[0], rng)
+    with monkeypatch.context() as doubtful:
+        doubtful.setattr(hand_tracker, "probability", lambda *arguments: 0.1)
+        state, estimate = follower.step(start, frames[0], rng)
+    assert estimate.status is Status.LOST and state.monitor == start.monitor
+    state, estimate = follower.step(state, frames[1], rng)
+    assert estimate.status is Status.TRACKING and state.evidence.frames == 1

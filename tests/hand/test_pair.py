@@ -13,14 +13,14 @@ import pytest
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.autodetect import detect_hand
-from posetrack_cli.hand.both import PairFinder
+from posetrack_cli.hand.both import PairFinder, PairFrame, common_side
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
 from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.search import ACCEPT_MM, Candidate, lead_of
+from posetrack_cli.hand.search import ACCEPT_MM, Candidate, cheapest_pair, lead_of
 from posetrack_cli.hand.shape_fit import combined, read_shape
 from posetrack_cli.hand.tracker import FIRST_STEP_NS
 from posetrack_cli.rendering.port import RenderingDevice
@@ -170,6 +170,30 @@ def test_a_pair_leads_by_what_exchanged_hands_cost_more() -> None:
     assert lead_of((rights[0], None), rights, lefts[1:]) == ACCEPT_MM - 3.0
 
 
+def test_a_hand_and_its_elbow_are_no_pair() -> None:
+    """They lie on one line, each at the end of the other's forearm."""
+
+    def at(y: float, arm: float) -> Candidate:
+        return Candidate(relaxed(y=y, z=NEAR_MM), 3.0, 3.0, np.array([0.0, arm, 0.0, 0.0, 0.0, 0.0]))
+
+    hand, elbow, below = at(-50.0, 1.0), at(50.0, -1.0), at(50.0, 1.0)
+    assert cheapest_pair([hand], [elbow]) in {(hand, None), (None, elbow)}
+    assert cheapest_pair([hand], [below]) == (hand, below)
+
+
+def test_either_hand_is_tried_at_a_place_of_the_other(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
+) -> None:
+    tracker = HandRun(recording, BOTH, RunOptions(tmp_path / "r.mcap"), device).tracker
+    depth, (pose, _) = next(recording.frames(start=0, end=None)).depth, poses[0]
+    right, left = tracker.trackers
+    known = Candidate(pose, GOOD_MM, GOOD_MM + 1.0)
+    assert (other := left.lookalike(depth, known)) is not None
+    assert (again := right.lookalike(depth, other)) is not None
+    assert np.linalg.norm(joints("right", again.pose) - joints("right", pose), axis=1).mean() < FIT_MM
+    assert other.cost > again.cost and again.total_cost == pytest.approx(again.cost + 1.0)
+
+
 def test_one_of_two_hands_is_followed_through_a_crossing(
     device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
 ) -> None:
@@ -203,6 +227,19 @@ def test_two_hands_are_counted_and_one_before_a_wall_is_not_two(
     assert not PairFinder(one, HandConfig(), 1.0, 0).shows_two
 
 
+def test_two_people_show_hands_of_one_side(recording: Drawn) -> None:
+    """At the other hand's place, too, this side costs less."""
+    frame, at = next(recording.frames(start=0, end=None)), np.zeros(3)
+
+    def side_of(*leads: tuple[float, float]) -> str | None:
+        return common_side([PairFrame(frame, (at, at), one) for one in leads])
+
+    assert side_of((5.0, 2.0), (1.0, 3.0), (-1.0, 2.0)) is None
+    assert side_of((5.0, -2.0), (2.0, -2.0)) == "right" and side_of((-9.0, 5.0), (-1.0, 1.0)) == "left"
+    assert side_of((3.0, -9.0)) is None and side_of() is None  # one frame may be wrong
+    assert common_side([PairFrame(frame, (at, None), (2.0, -9.0))] * 9) is None
+
+
 def test_a_configured_shape_of_two_hands_stays(recording: Drawn) -> None:
     hand = {"count": "auto", "finger_lengths": (1.0, 1.05, 1.0, 1.0, 1.0)}
     found = detect_hand(recording, HandConfig.model_validate({"hand": hand}), 0).config.hand
@@ -215,11 +252,12 @@ def test_a_shape_from_a_result_says_nothing_of_how_many_hands(
     device: RenderingDevice, recording: Drawn, tmp_path: Path, count: str, kept: str
 ) -> None:
     """Nor, of both, which one."""
-    hand = {"count": count, "side": "left", "scale": 0.9}
-    config = HandConfig.model_validate(BOTH.model_dump() | {"hand": hand})
+    hand, status = {"count": count, "side": "left", "scale": 0.9}, {"baseline_cost_mm": GOOD_MM}
+    config = HandConfig.model_validate(BOTH.model_dump() | {"hand": hand, "status": status})
     HandRun(recording, config, RunOptions(tmp_path / "r.mcap", end=1), device).track(lambda estimate: None)
     named = dict(one.split("=", 1) for one in read_shape(tmp_path / "r.mcap").assignments)
     assert named["hand.scale"] == "0.9" and "hand.count" not in named
+    assert named["status.baseline_cost_mm"] == str(GOOD_MM)  # what good fits of this shape cost
     assert named.get("hand.side", '"auto"') == f'"{kept}"'
 
 

@@ -243,8 +243,8 @@ def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
     tracking = tracker(
         device, HAND, HandConfig.model_validate({"status": {"retry_above_mm": retry_above_mm}})
     )
-    kept = [keeps_its_fingers(off_while_turning(device, tracking, seed)) for seed in range(4)]
-    assert all(kept) == (retry_above_mm == 0.0)
+    kept = (keeps_its_fingers(off_while_turning(device, tracking, seed)) for seed in range(4))
+    assert all(kept) == (retry_above_mm == 0.0)  # the first seed that does not is enough
 
 
 def test_a_look_is_at_the_window_about_the_fit(

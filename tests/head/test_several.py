@@ -14,9 +14,9 @@ from posetrack_cli.configuration import load_settings
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.measuring.evaluation import Statistics
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.run import HeadRunOptions
-from posetrack_cli.head.runs import make_heads_run
+from posetrack_cli.head.runs import make_heads_run, make_stereo_run
 from posetrack_cli.head.tracker.several import HeadsState, HeadsTracker, Member, people_of
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
@@ -31,6 +31,8 @@ FPS, FRAMES = 15.0, 24
 CAMERA = Camera(400, 300, 350.0, 350.0, 199.5, 149.5)
 SETTINGS = {"particles.count": 100, "adjustment.views": 6, "skin.use": False}
 CONFIG = load_settings(HeadMonoConfig, [], SETTINGS)
+STEREO_SETTINGS = {"particles.count": 100, "run.passes": 2}
+STEREO_CONFIG = load_settings(HeadStereoConfig, [], STEREO_SETTINGS)
 HIDDEN = range(10, 14)
 """Frames in which the head behind is covered by more than half."""
 
@@ -61,7 +63,11 @@ def tracked(recording: Path, output: Path, *, stop_after: int | None = None, res
         return done[0] == stop_after
 
     options = HeadRunOptions(output, smooth=True, resume=resume)
-    make_heads_run(source, CONFIG, options, lambda estimate: None).track(lambda estimate: None, stopped)
+    if len(source.cameras) > 1:
+        run = make_stereo_run(source, STEREO_CONFIG, options, lambda estimate: None, all_faces=True)
+    else:
+        run = make_heads_run(source, CONFIG, options, lambda estimate: None)
+    run.track(lambda estimate: None, stopped)
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +120,42 @@ def test_an_interrupted_run_continues_to_the_same_bytes(crossing: Path, result: 
     assert filecmp.cmp(path, result, shallow=False)
 
 
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two people next to each other before two cameras, 760 and 700 mm away."""
+    options = HeadSynthOptions(
+        cameras=2,
+        frames=12,
+        fps=FPS,
+        width=400,
+        height=300,
+        expressions=False,
+        motion="slight",
+        light="steady",
+    )
+    right, left = Walker(3, (-130, 760), (-120, 760), 1), Walker(7, (110, 700), (110, 690), 2)
+    return make_recording(tmp_path_factory.mktemp("two") / "pair", [right, left], options)
+
+
+def test_two_heads_before_two_cameras(pair: Path, tmp_path: Path) -> None:
+    path, again = tmp_path / "pair.mcap", tmp_path / "again" / "pair.mcap"
+    source = open_recording(pair, "grey", fps=FPS)
+    tracking = track_head(source, faces="all", settings=STEREO_SETTINGS, output=path, smooth=True)
+    assert {len(tracking.current) for _ in tracking} == {2}
+    for label in "12":
+        found = evaluate(path, EvalOptions(truth=pair / "truth.mcap", align="rigid", label=label))
+        assert found.metrics["identity_switches"] == found.metrics["false_tracks"] == 0
+        turned, placed = found.metrics["rotation_deg"], found.metrics["position_mm"]
+        assert isinstance(turned, Statistics) and isinstance(placed, Statistics)
+        # the wrong person's points are 200 mm off; a pixel is 1.2 mm wide
+        assert turned.max < 1.0 and placed.max < 1.2
+    again.parent.mkdir()
+    tracked(pair, again, stop_after=12 + 7)  # within the second pass
+    assert part_path(again).exists()
+    tracked(pair, again, resume=True)
+    assert filecmp.cmp(path, again, shallow=False)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -145,7 +187,7 @@ class Noting:
 
 
 def test_false_detections_are_no_people() -> None:
-    heads = HeadsTracker(CAMERA, [Noting()])  # type: ignore[list-item]
+    heads = HeadsTracker((CAMERA,), [Noting()])  # type: ignore[list-item]
     members = tuple(Member(name, tracked) for name, tracked in (("ann", 200), ("wall", 9), ("bob", 30)))  # type: ignore[arg-type]
     learned = heads.learned(HeadsState(members, frames=200), for_second_pass=True)
     assert [str(one["who"]) for one, _ in people_of(learned)] == ["ann", "bob"]

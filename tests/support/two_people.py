@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.camera import Camera, in_camera_axes
 from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import TRUTH_FILE_NAME
@@ -47,7 +47,7 @@ class Walker:
     seed: int = 0
 
 
-def frames_of(walker: Walker, options: HeadSynthOptions) -> tuple[Camera, list[SyntheticHeadFrame]]:
+def frames_of(walker: Walker, options: HeadSynthOptions) -> tuple[Sequence[Camera], list[SyntheticHeadFrame]]:
     own = replace(options, identity=walker.identity, seed=walker.seed)
     plan = make_plan(own)
     (x, z), (end_x, end_z) = walker.start, walker.end
@@ -59,33 +59,38 @@ def frames_of(walker: Walker, options: HeadSynthOptions) -> tuple[Camera, list[S
 
     own_motion = {field.name: getattr(plan.movement, field.name) for field in fields(plan.movement)}
     walk = Walk(**own_motion, along=along)
-    return plan.cameras[0], list(render_plan(replace(plan, movement=walk)))
+    return plan.cameras, list(render_plan(replace(plan, movement=walk)))
 
 
-def together(camera: Camera, seen: Sequence[SyntheticHeadFrame]) -> np.ndarray:
-    """The pictures in one: the head nearest to the camera is in front."""
-    far_first = sorted(seen, key=lambda frame: -frame.pose.position[2])
-    (picture, *_) = far_first[0].images
-    assert picture is not None
-    picture = picture.copy()
-    for frame in far_first[1:]:
-        (image,) = frame.images
+def together(camera: Camera, number: int, seen: Sequence[SyntheticHeadFrame]) -> np.ndarray:
+    """The pictures of a camera in one: the head nearest to the camera is in front."""
+    below = np.array([0.0, BELOW_MM, 0.0])
+    places = [in_camera_axes(camera, frame.pose.position + below) for frame in seen]
+    picture: np.ndarray | None = None
+    for k in sorted(range(len(seen)), key=lambda k: -places[k][2]):
+        image = seen[k].images[number]
         assert image is not None
-        x, y, z = frame.pose.position + np.array([0.0, BELOW_MM, 0.0])
+        if picture is None:
+            picture = image.copy()
+            continue
+        x, y, z = places[k]
         middle = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         axes = camera.fx * HEAD_MM / z
         shown = np.zeros(picture.shape, np.uint8)
         cv2.ellipse(shown, tuple(map(round, middle)), tuple(map(round, axes)), 0.0, 0.0, 360.0, 255, -1)
         soft = cv2.GaussianBlur(shown, (0, 0), 1.5)[..., None].squeeze() / 255.0
         picture = np.rint(soft * image + (1.0 - soft) * picture).astype(np.uint8)
+    assert picture is not None
     return picture
 
 
 def make_recording(folder: Path, walkers: Sequence[Walker], options: HeadSynthOptions) -> Path:
-    """Write an image folder with the truth of each person, labelled 1, 2, ..."""
-    folder.mkdir()
+    """Write a folder of images, or one of each camera, with the truth of each person, labelled 1, 2, ..."""
     made = [frames_of(walker, options) for walker in walkers]
-    camera = made[0][0]
+    cameras = made[0][0]
+    folders = [folder / camera.name if len(cameras) > 1 else folder for camera in cameras]
+    for one in folders:
+        one.mkdir(parents=True)
     with McapSink(folder / TRUTH_FILE_NAME) as sink:
         channels = [
             sink.json_channel(
@@ -94,7 +99,10 @@ def make_recording(folder: Path, walkers: Sequence[Walker], options: HeadSynthOp
             for k in range(len(walkers))
         ]
         for instant in zip(*(frames for _, frames in made), strict=True):
-            cv2.imwrite(str(folder / f"{instant[0].index:05d}.png"), together(camera, instant))
+            for number, camera in enumerate(cameras):
+                cv2.imwrite(
+                    str(folders[number] / f"{instant[0].index:05d}.png"), together(camera, number, instant)
+                )
             for channel, frame in zip(channels, instant, strict=True):
                 stamp_ns = frame.stamp_ns - made[0][1][0].stamp_ns  # folders begin at 0
                 sink.write(
@@ -103,5 +111,5 @@ def make_recording(folder: Path, walkers: Sequence[Walker], options: HeadSynthOp
                     estimate_to_json(replace(frame.truth(), stamp_ns=stamp_ns), TRUE_NUMBERS),
                 )
         sink.finish()
-    (folder / "camera.toml").write_text(camera_file_text((camera,)))
+    (folder / "camera.toml").write_text(camera_file_text(cameras))
     return folder

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +21,7 @@ from posetrack_cli.evaluation.measuring.catalogue import (
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.measuring.pooling import Pool
 from posetrack_cli.evaluation.measuring.subjects import KINDS
-from posetrack_cli.evaluation.reports.methods import flattened, methods_of
+from posetrack_cli.evaluation.reports.methods import flattened
 from posetrack_cli.evaluation.reports.table import (
     ABSENT,
     Row,
@@ -93,16 +92,6 @@ def provenance(evaluations: Sequence[Evaluation]) -> list[Records]:
         Records(title, _rows(columns))
         for title, columns in (("Run", records), ("Resolved configuration", configurations))
     ]
-
-
-def methods_texts(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return the methods paragraphs of the results; run records that cannot be read give none."""
-    texts = []
-    for one in evaluations:
-        lost = 0 if one.track.lost is None else int(one.track.lost.sum())
-        with suppress(ValueError):
-            texts.append(methods_of(one.run, len(one.track) - lost, len(one.track)))
-    return texts
 
 
 def _record(evaluation: Evaluation) -> dict[str, str]:

@@ -53,20 +53,29 @@ def statistics(values: ArrayLike) -> Statistics:
     A NaN among the values makes all statistics NaN. An infinite value makes mean and maximum infinite and
     the standard deviation NaN.
     """
-    flat = np.ravel(np.asarray(values, dtype=np.float64))
+    flat = np.array(values, dtype=np.float64, order="C").ravel()
     if not flat.size:
         nan = float("nan")
         return Statistics(nan, nan, nan, nan, nan, nan, 0)
-    p5, median, p95 = _percentiles(flat, [5.0, 50.0, 95.0])
     with np.errstate(invalid="ignore"):  # inf - inf
         mean, sd = float(flat.mean()), _deviation(flat)
-    return Statistics(mean, sd, float(median), float(p95), float(flat.max()), float(p5), flat.size)
+    flat.sort()  # NaN goes to the end
+    largest = float(flat[-1])
+    p5, median, p95 = _percentiles_of_ranked(lambda place: float(flat[place]), flat.size, (5.0, 50.0, 95.0))
+    if math.isnan(largest):
+        p5 = median = p95 = largest
+    return Statistics(mean, sd, median, p95, largest, p5, flat.size)
 
 
 def _deviation(flat: FloatArray) -> float:
     # Scaled first, as the squares of a NEES with almost no variance would overflow.
-    largest = float(np.abs(flat).max())
-    return largest * float((flat / largest).std()) if 0.0 < largest < np.inf else float(flat.std())
+    largest = float(np.maximum(flat.max(), -flat.min()))
+    if not 0.0 < largest < np.inf:
+        return float(flat.std())
+    # ``std`` in place: a copy of the values of a long track is tens of MiB.
+    scaled = flat / largest
+    scaled -= scaled.mean()
+    return largest * math.sqrt(np.square(scaled, out=scaled).mean())
 
 
 def _percentiles_of_ranked(
@@ -82,22 +91,12 @@ def _percentiles_of_ranked(
     found = []
     for one in percent:
         place = one / 100.0 * (count - 1)
-        low, high = ranked(math.floor(place)), ranked(math.ceil(place))
-        between = math.isfinite(low) and math.isfinite(high)
-        found.append(low + (place - math.floor(place)) * (high - low) if between else high)
+        low, high, share = ranked(math.floor(place)), ranked(math.ceil(place)), place - math.floor(place)
+        if not (math.isfinite(low) and math.isfinite(high)):
+            found.append(high)
+        else:  # from the nearer of both, as numpy does
+            found.append(low + share * (high - low) if share < 0.5 else high - (1.0 - share) * (high - low))
     return found
-
-
-def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
-    """Return percentiles with linear interpolation, also of infinite values."""
-    if not np.isinf(flat).any():
-        return np.percentile(flat, percent)
-    # np.percentile interpolates to NaN next to an infinite value.
-    low, high = (np.percentile(flat, percent, method=method) for method in ("lower", "higher"))
-    finite = np.isfinite(low) & np.isfinite(high)
-    with np.errstate(invalid="ignore"):
-        between = np.where(finite, np.percentile(flat, percent), high)
-    return np.where(low == high, low, between)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +259,7 @@ def distribution(values: FloatArray, summary: Statistics) -> Distribution:
         values: at least one value.
         summary: statistics of the same values.
     """
-    flat = np.ravel(values)
-    pieces = [_counted(flat[first : first + PIECE]) for first in range(0, flat.size, PIECE)]
+    pieces = [_counted(values.flat[first : first + PIECE]) for first in range(0, values.size, PIECE)]
     return Distribution(summary.count, summary.mean, summary.sd, summary.max, *_together(pieces))
 
 

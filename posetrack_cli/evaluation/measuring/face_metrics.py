@@ -14,12 +14,10 @@ from posetrack_cli.evaluation.reading.tracks import Track, associate
 from posetrack_cli.evaluation.reading.truth_tables import Columns, open_table, read_columns
 from posetrack_cli.geometry.rotations import conjugate, rotate
 from posetrack_cli.head.blinks import intervals
-from posetrack_cli.head.dense.numbers import CLOSED, SIDES
+from posetrack_cli.head.dense.numbers import CLOSED, CLOSED_BELOW, SIDES
 
 NUMBERS_USED = (*range(17, 27), *range(36, 48), 62, 66)
 """Points of the usual 68 that the metrics need."""
-CLOSED_BELOW = 0.5
-"""Opening of the lids, between a recording's least and usual one, below which true eyes are closed."""
 SLACK_S = 0.1
 """Time by which a detected blink may miss a true one."""
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.measuring import pose_metrics
 from posetrack_cli.evaluation.measuring.evaluation import Count, Curve
@@ -240,7 +240,7 @@ def _angles(measures: Measures, matched: Matched) -> None:
 
 
 METRICS = {f"joint_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
-BLOCK_FRAMES = 256
+BLOCK_FRAMES = 512
 """Number of frames per block, as the Jacobians of a long track need many times its memory."""
 
 
@@ -300,7 +300,7 @@ class JointIntervals:
     def __init__(self, matched: Matched, joints: Common) -> None:
         self._matched, self._joints = matched, joints
         self._variances = matched.of_estimate("pose_variance")
-        self._inside = _masks(METRICS, matched, joints)
+        self._shares = _Shares(METRICS, joints)
 
     @staticmethod
     def lacks(matched: Matched) -> str:
@@ -314,27 +314,38 @@ class JointIntervals:
         estimated = mine.estimate.points[mine.pairs.estimate[rows]][:, joints.estimate]
         errors = mine.truth.points[mine.pairs.truth[rows]][:, joints.truth] - estimated
         variances = propagated(jacobian, self._variances[rows])[:, joints.estimate]
-        normalised = pose_metrics.normalised_squares(errors, variances)
-        for metric, half_width in METRICS.items():
-            self._inside[metric][rows] = pose_metrics.inside_interval(normalised, half_width)
+        self._shares.add(pose_metrics.normalised_squares(errors, variances))
 
     def finish(self, measures: Measures) -> None:
         """Add the metrics."""
-        _add_shares(measures, self._inside, self._joints)
+        self._shares.finish(measures)
 
 
-def _masks(metrics: Iterable[str], matched: Matched, joints: Common) -> dict[str, BoolArray]:
-    return {metric: np.empty((len(matched), len(joints.names), 3), dtype=np.bool_) for metric in metrics}
+class _Shares:
+    """Counts of true coordinates inside intervals, by joint.
 
+    Args:
+        metrics: half widths of the intervals by metric, in standard deviations.
+        joints: the compared joints.
+    """
 
-def _add_shares(
-    measures: Measures, masks: Mapping[str, BoolArray], joints: Common, known: BoolArray | slice = slice(None)
-) -> None:
-    for metric, inside in masks.items():
-        chosen = inside[known]
-        measures.share(metric, chosen)
-        for column, name in enumerate(joints.names):
-            measures.share(f"{metric}.{name}", chosen[:, column])
+    def __init__(self, metrics: Mapping[str, float], joints: Common) -> None:
+        self._metrics, self._names, self._frames = metrics, joints.names, 0
+        self._inside = {metric: np.zeros(len(joints.names), dtype=np.int64) for metric in metrics}
+
+    def add(self, normalised: FloatArray) -> None:
+        """Add frames by their normalised squares (n, P, 3)."""
+        self._frames += len(normalised)
+        for metric, half_width in self._metrics.items():
+            inside = pose_metrics.inside_interval(normalised, half_width)
+            self._inside[metric] += inside.sum(axis=(0, 2))
+
+    def finish(self, measures: Measures) -> None:
+        """Add the shares, overall and per joint."""
+        for metric, inside in self._inside.items():
+            measures.add_share(metric, int(inside.sum()), 3 * self._frames * len(inside))
+            for name, count in zip(self._names, inside.tolist(), strict=True):
+                measures.add_share(f"{metric}.{name}", count, 3 * self._frames)
 
 
 def hand_lacks(matched: Matched, joints: Common) -> str:
@@ -375,7 +386,7 @@ class JointVelocities:
         self._matched, self._joints = matched, joints
         self._twist, self._variances = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
         self._distances = np.empty((len(matched), len(joints.names)))
-        self._inside = _masks(INTERVALS, matched, joints)
+        self._shares = _Shares(INTERVALS, joints)
         self._is_known = False  # in any frame
         self._usual_ns = usual_interval(matched.truth.stamp_ns) if len(matched.truth) > 1 else 0.0
 
@@ -398,9 +409,8 @@ class JointVelocities:
         off = true - velocity[:, joints.estimate]
         self._distances[rows] = np.linalg.norm(off, axis=-1)
         variances = propagated(jacobian, self._variances[rows])[:, joints.estimate]
-        normalised = pose_metrics.normalised_squares(off, variances)
-        for metric, half_width in INTERVALS.items():
-            self._inside[metric][rows] = pose_metrics.inside_interval(normalised, half_width)
+        known = known_frames(self._distances[rows])
+        self._shares.add(pose_metrics.normalised_squares(off, variances)[known])
 
     def finish(self, measures: Measures) -> None:
         """Add the metrics, of the frames with a true and an estimated velocity."""
@@ -408,8 +418,9 @@ class JointVelocities:
             return measures.lack(NO_VELOCITY, *self.names)
         known = known_frames(self._distances)
         measures.add(ERROR, self._distances, known)
-        measures.summarise_parts(ERROR, self._distances[known], self._joints.names)
-        _add_shares(measures, self._inside, self._joints, known)
+        distances = rows_of(self._distances, np.flatnonzero(known))
+        measures.summarise_parts(ERROR, distances, self._joints.names)
+        self._shares.finish(measures)
 
 
 def central_differences(truth: Track, rows: IntArray, usual_ns: float) -> FloatArray:

@@ -185,7 +185,7 @@ class Measures:
             values: values of all matched frames; the series is their mean over parts.
             known: (M,) mask of the frames with a value; others are NaN in the series and not summarised.
         """
-        if self.summarise(address, values if known is None else values[known]):
+        if self.summarise(address, values if known is None else rows_of(values, np.flatnonzero(known))):
             per_frame = values if values.ndim == 1 else values.mean(axis=1)
             self.series[address] = per_frame if known is None else np.where(known, per_frame, np.nan)
 
@@ -211,9 +211,13 @@ class Measures:
 
     def share(self, address: str, inside: np.ndarray[Any, Any]) -> None:
         """Add the share of True values; record the reason if there are none."""
-        if inside.size:
-            self.metrics[address] = float(inside.mean())
-            self.counts[address] = Count(int(inside.sum()), inside.size)
+        self.add_share(address, int(inside.sum()), inside.size)
+
+    def add_share(self, address: str, true: int, of: int) -> None:
+        """Add a share given as counts; record the reason if there are none."""
+        if of:
+            self.metrics[address] = true / of
+            self.counts[address] = Count(true, of)
         else:
             self.absent[address] = self.nothing
 

@@ -45,7 +45,10 @@ def distances(estimate: FloatArray, truth: FloatArray) -> FloatArray:
 def distances_by_point(points: Iterator[tuple[FloatArray, FloatArray]], frames: int) -> FloatArray:
     """Return the distances (M, P) between P pairs of points (M, 3), which are processed one at a time."""
     columns = [distances(estimate, truth) for estimate, truth in points]
-    return np.stack(columns).T if columns else np.empty((frames, 0))
+    found: FloatArray = np.empty((len(columns), frames))
+    for row in reversed(range(len(found))):
+        found[row] = columns.pop()  # freed once it is copied
+    return found.T
 
 
 def rotation_errors_deg(estimate: FloatArray, truth: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ def _spread_and_bend(a: FloatArray, t: FloatArray) -> FloatArray:
 
 def _bend_base(turns: FloatArray, s: FloatArray) -> None:
     """Premultiply flattened rotations (..., N, 9) by Rx(s), s (N,), in place."""
-    cs, ss = np.cos(s)[:, None], np.sin(s)[:, None]
+    cs, ss = np.cos(s)[..., None], np.sin(s)[..., None]
     middle, last = turns[..., 3:6].copy(), turns[..., 6:9].copy()
     turns[..., 3:6] = cs * middle - ss * last
     turns[..., 6:9] = ss * middle + cs * last
@@ -107,21 +107,56 @@ def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = 
     camera-frame axis u through the joint at c moves a point p beyond it by u x (p - c). The thumb's inner
     angles are (2,) or (N, 2), rad.
     """
-    n = poses.shape[0]
     palm = rotations.matrices_from_quaternions(poses[:, 3:7])
-    joints = joint_positions(anatomy, poses, thumb)
-    jacobian = np.zeros((n, 21, 3, 21))
-    jacobian[..., 0:3] = np.eye(3)
-    lever = joints - poses[:, None, :3]
-    for k in range(3):
-        jacobian[..., 3 + k] = np.cross(palm[:, None, :, k], lever)
-    for column, axis, finger, joint, rate in _hinges(anatomy, poses[:, 7:], thumb):
-        first = 1 + 4 * finger + joint
-        beyond = slice(first + 1, 5 + 4 * finger)
-        turned = np.einsum("nij,nj->ni", palm, axis)
-        reach = joints[:, beyond] - joints[:, first : first + 1]
-        jacobian[:, beyond, :, 6 + column] += rate * np.cross(turned[:, None], reach)
-    return jacobian
+    lever = _levers(anatomy, poses[:, 7:], thumb) @ palm.swapaxes(1, 2)
+    by_component = np.zeros((len(poses), 21, 21, 3))
+    by_component[:, range(3), :, range(3)] = 1.0
+    by_component[:, 3:6] = _cross(palm.swapaxes(1, 2)[:, :, None], lever[:, None])
+    hinges = _hinges(anatomy, poses[:, 7:], thumb)
+    turned = np.stack([rate * axis for _, axis, _, _, rate in hinges], axis=1) @ palm.swapaxes(1, 2)
+    # Hinges of joints 2 and 3 that share an angle are added one after the other.
+    for is_last in (False, True):
+        pairs = [
+            (number, 1 + 4 * finger + joint, moved, 6 + column)
+            for number, (column, _, finger, joint, rate) in enumerate(hinges)
+            for moved in range(2 + 4 * finger + joint, 5 + 4 * finger)
+            if (rate == HALF) == is_last
+        ]
+        hinge, centre, moved, column = np.array(pairs).T
+        reach = np.take(lever, moved, axis=1) - np.take(lever, centre, axis=1)
+        by_component[:, column, moved] += _cross(turned[:, hinge], reach)
+    return np.moveaxis(by_component, 1, -1)
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the cross products of vectors (..., 3), in a fifth of the time of ``np.cross``."""
+    x, y, z = (first[..., k] for k in range(3))
+    u, v, w = (second[..., k] for k in range(3))
+    out = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    out[..., 0], out[..., 1], out[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return out
+
+
+def _levers(anatomy: HandAnatomy, angles: FloatArray, thumb: FloatArray) -> FloatArray:
+    """Return the joints in hand coordinates, mm: (N, 15) -> (N, 21, 3), as ``place_joints`` without kernels.
+
+    A bone points along -Rx(s) Rz(a) Rx(t) e_y of its finger's frame.
+    """
+    first, aside, second = np.moveaxis(angles.reshape(-1, 5, 3), 2, 0)
+    base, more, further = np.zeros((3, *first.shape))
+    base[:, 0], more[:, 0], further[:, 0] = first[:, 0], thumb[..., 0], thumb[..., 1]
+    first, aside, second = (np.array(one) for one in (first, aside, second))
+    first[:, 0], aside[:, 0], second[:, 0] = 0.0, second[:, 0], aside[:, 0].copy()
+    sign = -1.0 if anatomy.is_left else 1.0
+    levers = np.zeros((len(angles), 5, 4, 3))
+    levers[:, :, 0] = anatomy.base_positions
+    bends = (first, first + second, first + (1.0 + HALF) * second + more)
+    for k, (a, t) in enumerate(zip((aside, aside + further, aside + further), bends, strict=True)):
+        bent = _spread_and_bend(sign * a, t)
+        _bend_base(bent, base)
+        along = (anatomy.base_rotations @ bent[..., 1::3, None])[..., 0]
+        levers[:, :, k + 1] = levers[:, :, k] - along * anatomy.segments[:, k, None]
+    return np.concatenate([np.zeros((len(angles), 1, 3)), levers.reshape(-1, 20, 3)], axis=1)
 
 
 def _hinges(

@@ -59,6 +59,8 @@ RIGHT_UNLIKE, UNLIKE_SD = 0.55, np.radians([12.0, 5.0, 1.0])
 yaw and roll: one camera takes the points there for those of a face."""
 PRIOR_FACES = 10.0
 """Number of frames that the average face counts for in a person's neutral face."""
+LEARNED_EVERY = 3
+"""Interval, in frames, at which a first of two passes measures the face, to learn what is usual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +117,11 @@ class DenseFaces:
     Args:
         cameras: of the recording, the reference first.
         number_names: names of the tracker's own numbers. The dense face replaces its actions.
+        every: interval of the frames that are measured, each of which counts for as many.
     """
 
-    def __init__(self, cameras: Sequence[Camera], number_names: Sequence[str]) -> None:
+    def __init__(self, cameras: Sequence[Camera], number_names: Sequence[str], every: int = 1) -> None:
+        self.every = every
         self._cameras = tuple(cameras)
         self._kept = [index for index, name in enumerate(number_names) if name not in ACTION_NAMES]
         self._networks = shipped_networks()
@@ -144,7 +148,7 @@ class DenseFaces:
             return known, replace(estimate, numbers=np.concatenate([own, nothing]))
         points = measure(self._networks, RigImages(self._cameras, frame.images), pose)
         lengths = lengths_of(points.places, points.covariances)
-        face = _after(face, lengths, points)
+        face = _after(face, lengths, points, self.every)
         known = (*known[:person], face, *known[person + 1 :])
         camera = self._cameras[0]
         eyes_px = EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / estimate.position[2]
@@ -191,14 +195,14 @@ def _mean_opening(person: Person, lengths: Lengths) -> float:
     return float(precisions @ shares[known] / precisions.sum())
 
 
-def _after(face: KnownFace, lengths: Lengths, points: DensePoints) -> KnownFace:
-    """Return what is known of a face after a frame."""
-    person = face.lengths.after(lengths)
+def _after(face: KnownFace, lengths: Lengths, points: DensePoints, count: int) -> KnownFace:
+    """Return what is known of a face after a frame that stands for ``count``."""
+    person = face.lengths.after(lengths, count)
     opening, is_closed = _mean_opening(person, lengths), face.is_closed
     if not np.isnan(opening):
         is_closed = opening < (OPEN_ABOVE if is_closed else SHUT_BELOW)
     away = np.nan_to_num(np.abs(lengths.values - person.rest) / AT_REST_MM)
-    weight = float(np.exp(-0.5 * np.square(away).max()))
+    weight = count * float(np.exp(-0.5 * np.square(away).max()))
     return KnownFace(person, face.neutral.after(points.places, weight), is_closed)
 
 

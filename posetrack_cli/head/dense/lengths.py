@@ -126,12 +126,12 @@ class Person:
 
     histogram: Annotated[IntArray, counts("lengths", "bins")]
 
-    def after(self, lengths: Lengths) -> Person:
-        """Return the person after one more frame."""
+    def after(self, lengths: Lengths, count: int = 1) -> Person:
+        """Return the person after ``count`` more frames like this one."""
         known = ~np.isnan(lengths.values)
         bins = _bins(np.where(known, lengths.values, 0.0))
         histogram = self.histogram.copy()
-        histogram[known, bins[known]] += 1
+        histogram[known, bins[known]] += count
         return replace(self, histogram=histogram)
 
     def quantiles(self, shares: FloatArray) -> FloatArray:

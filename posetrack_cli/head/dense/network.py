@@ -22,7 +22,7 @@ from posetrack_cli.files import read_input
 from posetrack_cli.npz import read_npz
 
 CHANNELS, KERNELS = (16, 24, 32, 32), (5, 3, 3, 3)
-"""Output channels, multiples of 8, and kernel sizes of the convolutions."""
+"""Output channels and kernel sizes of the convolutions."""
 HIDDEN = 96
 """Size of the first full layer."""
 POSITION_SCALE = 10.0
@@ -36,33 +36,53 @@ MOUTH_NETWORK, EYE_NETWORK, GAZE_NETWORK = "mouth", "eye", "gaze"
 
 
 @kernel
-def _convolved(image: Float32Array, weights: Float32Array, bias: Float32Array) -> Float32Array:
-    """Return the convolution with stride 2 of (H, W, C), padded with zeros, cut off below zero.
+def _patches(image: Float32Array, size: int, count: int) -> Float32Array:
+    """Return what each output of a convolution with stride 2 sees of (C, H, W), padded with zeros.
 
-    Eight output channels at a time are summed in a vector register. The order of each sum is fixed.
+    Returns:
+        (count, M): row, column and channel of the kernel, then zeros; outputs, row by row.
     """
-    height, width, channels = image.shape
-    size, count = weights.shape[0], weights.shape[3]
-    margin, zero = size // 2, np.float32(0.0)
-    out = np.empty(((height + 1) // 2, (width + 1) // 2, count), np.float32)
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            for k in range(0, count, 8):
-                b, o = bias[k : k + 8], out[y, x, k : k + 8]
-                s0, s1, s2, s3, s4, s5, s6, s7 = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
-                for i in range(max(0, margin - 2 * y), min(size, height + margin - 2 * y)):
-                    for j in range(max(0, margin - 2 * x), min(size, width + margin - 2 * x)):
-                        for c in range(channels):
-                            value = image[2 * y + i - margin, 2 * x + j - margin, c]
-                            if value != 0.0:
-                                w = weights[i, j, c, k : k + 8]
-                                s0, s1 = s0 + value * w[0], s1 + value * w[1]
-                                s2, s3 = s2 + value * w[2], s3 + value * w[3]
-                                s4, s5 = s4 + value * w[4], s5 + value * w[5]
-                                s6, s7 = s6 + value * w[6], s7 + value * w[7]
-                o[0], o[1], o[2], o[3] = max(s0, zero), max(s1, zero), max(s2, zero), max(s3, zero)
-                o[4], o[5], o[6], o[7] = max(s4, zero), max(s5, zero), max(s6, zero), max(s7, zero)
-    return out
+    channels, height, width = image.shape
+    rows, columns, margin = (height + 1) // 2, (width + 1) // 2, size // 2
+    padded = np.zeros((channels, 2 * rows + size, 2 * columns + size + 1), np.float32)
+    padded[:, margin : margin + height, margin : margin + width] = image
+    seen = np.zeros((count, rows * columns), np.float32)
+    for n in range(size * size * channels):
+        i, j, c = n // (size * channels), n // channels % size, n % channels
+        for y in range(rows):
+            part, line = seen[n, y * columns : (y + 1) * columns], padded[c, 2 * y + i, j::2]
+            for x in range(columns):
+                part[x] = line[x]
+    return seen
+
+
+@kernel
+def _convolved(image: Float32Array, size: int, weights: Float32Array, bias: Float32Array) -> Float32Array:
+    """Return the convolution with stride 2 of (C, H, W), cut off below zero.
+
+    The inner loop runs over the outputs of a channel, so that it is vectorised and the order of each sum is
+    fixed.
+
+    Args:
+        image: (C, H, W).
+        size: of the kernel.
+        weights: (outputs, N), see ``_in_fours``.
+        bias: (outputs,).
+    """
+    height, width = image.shape[1:]
+    seen = _patches(image, size, weights.shape[1])
+    out = np.empty((bias.size, seen.shape[1]), np.float32)
+    for k in range(bias.size):
+        sums, own = out[k], weights[k]
+        sums[:] = bias[k]
+        for n in range(0, own.size, 4):
+            w0, w1, w2, w3 = own[n], own[n + 1], own[n + 2], own[n + 3]
+            s0, s1, s2, s3 = seen[n], seen[n + 1], seen[n + 2], seen[n + 3]
+            for m in range(sums.size):
+                sums[m] = sums[m] + s0[m] * w0 + s1[m] * w1 + s2[m] * w2 + s3[m] * w3
+        for m in range(sums.size):
+            sums[m] = max(sums[m], np.float32(0.0))
+    return out.reshape((bias.size, (height + 1) // 2, (width + 1) // 2))
 
 
 @kernel
@@ -97,7 +117,7 @@ class Network:
     """Network of one kind of region.
 
     Attributes:
-        convolutions: kernels (size, size, inputs, outputs) and biases.
+        convolutions: kernels, see ``_in_fours``, and biases.
         full: matrices (inputs, outputs) and biases; inputs of the first are in the order y, x, channel.
         middle: (P, 3) mean places.
         spread: (P,) factor from stated to actual deviations; (1,) for the network of gazes.
@@ -123,12 +143,18 @@ class Network:
 
     def _outputs(self, crop: ImageArray) -> FloatArray:
         grey = crop.astype(np.float32)
-        layer = ((grey - grey.mean()) / (grey.std() + np.float32(LEAST_CONTRAST)))[..., None]
-        for weights, bias in self.convolutions:
-            layer = _convolved(np.ascontiguousarray(layer), weights, bias)
+        layer = ((grey - grey.mean()) / (grey.std() + np.float32(LEAST_CONTRAST)))[None]
+        for size, (weights, bias) in zip(KERNELS, self.convolutions, strict=True):
+            layer = _convolved(layer, size, weights, bias)
         (first, last) = self.full
-        hidden = np.maximum(_connected(layer.ravel(), *first), np.float32(0.0))
+        hidden = np.maximum(_connected(layer.transpose(1, 2, 0).ravel(), *first), np.float32(0.0))
         return _connected(hidden, *last).astype(np.float64)
+
+
+def _in_fours(kernels: Float32Array, bias: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Return kernels (size, size, inputs, outputs) as (outputs, N), with zeros up to a multiple of 4."""
+    flat = kernels.reshape(-1, len(bias)).T
+    return np.pad(flat, ((0, 0), (0, -flat.shape[1] % 4))), bias
 
 
 @lru_cache(maxsize=1)
@@ -142,7 +168,7 @@ def shipped_networks() -> Mapping[str, Network]:
 
     return {
         name: Network(
-            tuple(pair(f"{name}.convolution{layer}") for layer in range(len(CHANNELS))),
+            tuple(_in_fours(*pair(f"{name}.convolution{layer}")) for layer in range(len(CHANNELS))),
             (pair(f"{name}.full0"), pair(f"{name}.full1")),
             arrays[f"{name}.middle"],
             arrays[f"{name}.spread"],

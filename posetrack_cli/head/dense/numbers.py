@@ -23,6 +23,8 @@ MEASURED_SHARES = tuple(name for name in (*_OPEN, *STRENGTH_NAMES) if name != "a
 """Shares and strengths that the ten points do not have."""
 CLOSED = "eyes_closed"
 """1 while both eyes are closed, 0 while they are open."""
+CLOSED_BELOW = 0.5
+"""Opening of the lids, as a share of the usual one, below which true eyes are closed."""
 SIDES = ("right", "left")
 GAZES = tuple(
     f"{side}_gaze_{part}" for side in SIDES for part in ("to_left_rad", "up_rad", "sd_rad", "x", "y", "z")

@@ -51,7 +51,7 @@ class Detection:
     """Faces of one image.
 
     Attributes:
-        faces: with their points, the largest first; empty if there is none.
+        faces: with their points, certain ones first, then the largest; empty if there is none.
         best_score: 0 to 1, of the best candidate, even if rejected.
     """
 
@@ -64,16 +64,24 @@ class FaceDetector:
 
     Args:
         settings: detector and score thresholds.
+        twice: locate learned points a second time from where they were found in thorough searches, search
+            with a second cascade if there is no face, and prefer certain faces to larger ones **[ours]**.
 
     Raises:
         UsageError: ``yunet`` without its model file, or an invalid or missing file.
         ResultError: an invalid appearance model.
     """
 
-    def __init__(self, settings: DetectionSettings = DetectionSettings()) -> None:  # noqa: B008
+    def __init__(
+        self,
+        settings: DetectionSettings = DetectionSettings(),  # noqa: B008
+        *,
+        twice: bool = True,
+    ) -> None:
         self._settings = settings
         self._finder = _finder(settings)
         self._appearance = _appearance(settings)
+        self._twice = twice and self._appearance is not None
         # responses of corners say little, so that the first face ends a search
         self._certain = 0.0 if self._appearance is None else CERTAIN
 
@@ -88,7 +96,7 @@ class FaceDetector:
         """
         if roll is not None and abs(roll) <= UPRIGHT_RAD:
             roll = 0.0
-        return self._search(image, ((way, None) for way in thorough_ways(roll)), wanted)
+        return self._search(image, ((way, None) for way in thorough_ways(roll)), wanted, twice=self._twice)
 
     def detect_quickly(self, image: ImageArray, index: int, *, wanted: int = 1) -> Detection:
         """Return the faces found in one frame of a long search.
@@ -132,20 +140,28 @@ class FaceDetector:
         steps: Iterable[tuple[Way, Part | None]],
         wanted: int,
         larger: float = 1.0,
+        *,
+        twice: bool = False,
     ) -> Detection:
-        """Search in several ways until enough faces are certain; keep the best of overlapping ones."""
+        """Search in several ways until enough faces are certain; keep the best of overlapping ones.
+
+        With ``twice``, points are located a second time from where they were found.
+        """
         faces: list[FacePoints] = []
-        best_score = 0.0
+        found: list[FaceGuess] = []
         for way, part in steps:
+            if way.again and (faces or not twice):
+                break
             searched = replace(SearchedImage.part(image, way.area, part), larger=larger)
             guesses = tuple(searched.faces(self._finder, way))
-            best_score = max([best_score, *(guess.score for guess in guesses)])
+            found += guesses
             for guess in self._promising(guesses, way, faces, wanted):
-                points = self._points(image, guess, way)
+                points = self._points(image, guess, way, twice=twice)
                 faces = faces if points is None else _with_better(faces, points)
             if sum(face.score >= self._certain for face in faces) >= wanted:
                 break
-        return Detection(tuple(sorted(faces, key=lambda face: -face.guess.eye_distance)), best_score)
+        order = sorted(faces, key=lambda face: (twice and face.score < self._certain, -face.pixels_per_mm))
+        return Detection(tuple(order), max((guess.score for guess in found), default=0.0))
 
     def _promising(
         self, guesses: Sequence[FaceGuess], way: Way, faces: Sequence[FacePoints], wanted: int
@@ -158,9 +174,19 @@ class FaceDetector:
             return new[: limits.FACES]
         return sorted(distinct(new), key=lambda guess: -guess.score)[:wanted]
 
-    def _points(self, image: ImageArray, guess: FaceGuess, way: Way = Way()) -> FacePoints | None:  # noqa: B008
+    def _points(
+        self,
+        image: ImageArray,
+        guess: FaceGuess,
+        way: Way = Way(),  # noqa: B008
+        *,
+        twice: bool = False,
+    ) -> FacePoints | None:
         """Return the points of a face; of an unusual one, only if they look as learned from many faces."""
         found = find_points(image, guess, self._appearance)
+        if twice:
+            again = find_points(image, found.as_guess, self._appearance)
+            found = again if again.misfit_px < found.misfit_px else found
         if not way.is_usual:
             learned = found if self._appearance is not None else find_points(image, guess, load_appearance())
             if learned.score < LEAST_UNUSUAL:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from posetrack_cli.head.detection.finders import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.fit import JOINT_POSE_SIZE as JOINT_POSE
 from posetrack_cli.head.detection.fit import VISIBLE, fit_face, fit_jointly, projected, visible_shares
 from posetrack_cli.head.detection.responses import FacePatch, cut_patch, response_maps
-from posetrack_cli.head.face.points import NOSTRILS, POINT_COUNT
+from posetrack_cli.head.face.points import EYES, NOSTRILS, POINT_COUNT
 
 # Search radius, in standard deviations of the prior.
 REACH = 2.5
@@ -97,6 +97,8 @@ class FacePoints:
         angles: (3,) approximate roll, yaw, pitch, rad: rotations about the camera's z, y and x axis of a head
             that looked at the camera, pitch first.
         guess: detection of the face.
+        misfit_px: RMS distance of the points from the nearest likely face, pixels of the patch; 0 without an
+            appearance model.
     """
 
     pixels: FloatArray
@@ -104,11 +106,20 @@ class FacePoints:
     pixels_per_mm: float
     angles: FloatArray
     guess: FaceGuess
+    misfit_px: float = 0.0
 
     @property
     def score(self) -> float:
         """Mean response of the points that are not hidden, 0 to 1."""
         return mean_response(self.responses)
+
+    @property
+    def as_guess(self) -> FaceGuess:
+        """The detection, with the place, size and roll of the points."""
+        middle, distance = self.pixels[EYES].mean(axis=0), EYE_DISTANCE_MM * self.pixels_per_mm
+        return replace(
+            self.guess, middle=middle, eye_distance=distance, roll=float(self.angles[0]), eyes=NO_EYES
+        )
 
 
 def mean_response(responses: FloatArray) -> float:
@@ -139,14 +150,17 @@ def find_points(image: ImageArray, guess: FaceGuess, appearance: Appearance | No
     pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright), yaw)
     expected = projected(pose[None])[0]
     visible = visible_shares(pose[4:5])[0, :POINT_COUNT] if yaw else VISIBLE
+    misfit = 0.0
     if appearance is None:
         pixels, responses = _strongest(maps, expected)
     else:
         places = fit_jointly(upright.grey, expected[:POINT_COUNT], pose[:JOINT_POSE], appearance, visible)
         pixels, responses, pose = places.pixels, places.probabilities, places.pose
+        misfit = places.misfit_px
     responses = np.where(visible > 0.0, responses, 0.0)
     angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
-    return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
+    scale = float(pose[2] / upright.scale)
+    return FacePoints(upright.to_image(pixels), responses, scale, angles, guess, misfit)
 
 
 def _carried_over(pose: FloatArray, before: FacePatch, after: FacePatch) -> FloatArray:

@@ -40,16 +40,18 @@ class Way(NamedTuple):
         turned: whether heads turned to a side are searched, not those that look at the camera.
         roll: rad, clockwise, expected.
         area: largest area of the image, pixels; larger images are reduced.
+        again: whether faces that were not found are searched by other features.
     """
 
     turned: bool = False
     roll: float = 0.0
     area: float = math.inf
+    again: bool = False
 
     @property
     def is_usual(self) -> bool:
         """Whether upright faces that look at the camera are searched."""
-        return not self.turned and not self.roll
+        return not self.turned and not self.roll and not self.again
 
 
 def thorough_ways(roll: float | None) -> Iterator[Way]:
@@ -58,6 +60,8 @@ def thorough_ways(roll: float | None) -> Iterator[Way]:
     if roll is None:
         yield from (Way(False, roll, THOROUGH_AREA) for roll in ROTATIONS)
         yield from (Way(True, roll, 2 * QUICK_TURNED_AREA) for roll in ROTATIONS)
+    rolls = (0.0, *ROTATIONS) if roll is None else (roll,)
+    yield from (Way(False, roll, THOROUGH_AREA, again=True) for roll in rolls)
 
 
 def quick_ways(index: int) -> tuple[Way, Way]:
@@ -129,7 +133,7 @@ class SearchedImage:
         turn, shift, image = np.eye(2), np.zeros(2), self.grey
         if way.roll:
             image, turn, shift = _rotated(self.grey, way.roll)
-        find = finder.find_turned if way.turned else finder.find
+        find = finder.find_again if way.again else finder.find_turned if way.turned else finder.find
 
         def recorded(pixels: FloatArray) -> FloatArray:
             if not way.roll and self.scale == 1.0:  # without rounding errors

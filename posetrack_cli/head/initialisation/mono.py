@@ -143,8 +143,7 @@ class MonoInitialiser:
             pixels = self._start_pixels(image, landmark_face)
             return face_at(pixels, frame.stamp_ns, self._camera, landmark_face.responses)
         detection = self._detections(image, frame.index, near, thoroughly)
-        faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
-        face = self._chosen(faces) if near is None else _same(faces, near)
+        face = self._chosen(detection.faces) if near is None else _same(detection.faces, near)
         if isinstance(face, str):
             return InitFailure(face, detection.best_score)
         deviation = np.rad2deg(slope_deviation(face.pixels, self._camera, face.responses > 0.0))

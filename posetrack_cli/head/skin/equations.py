@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -271,8 +272,14 @@ def in_cameras(poses: HeadPose, transforms: FloatArray) -> HeadPose:
         return poses
     rotations = transforms[:, :, :3]
     positions = np.einsum("cij,nj->nci", rotations, poses.position) + transforms[:, :, 3]
-    turned = multiply(quaternions_from_matrices(rotations), poses.quaternion[:, None])
+    turned = multiply(_quaternions(rotations.tobytes()), poses.quaternion[:, None])
     return HeadPose(positions.reshape(-1, 3), turned.reshape(-1, 4))
+
+
+@lru_cache(maxsize=8)
+def _quaternions(rotations: bytes) -> FloatArray:
+    """Return the quaternions (C, 4) of the cameras' rotations (C, 3, 3), needed several times per frame."""
+    return quaternions_from_matrices(np.frombuffer(rotations).reshape(-1, 3, 3))
 
 
 def _tangent_maps(transforms: FloatArray) -> FloatArray:
@@ -314,7 +321,7 @@ def adjust_pose(
             vector += maps[c].T @ pull
         tangent = np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
         pose = pose.moved(tangent)
-        if np.all(np.abs(tangent) < CONVERGED * np.minimum(pose_sd, POSE_SD)):
+        if (np.abs(tangent) < CONVERGED * np.minimum(pose_sd, POSE_SD)).all():
             break
     return pose
 

@@ -15,7 +15,7 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.adjuster import Album, PersonParameters, PointView
 from posetrack_cli.head.config import LARGEST_SCALE, AdjustmentSettings
-from posetrack_cli.head.face.points import COEFFICIENTS, POINT_COUNT, HeadPose
+from posetrack_cli.head.face.points import COEFFICIENTS, POINT_COUNT, UNSCALED, HeadPose, scaled_pixels
 from posetrack_cli.head.face.templates import CAMERAS, TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.initialisation.search import Search
@@ -23,7 +23,7 @@ from posetrack_cli.head.model_file import damaged_model
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.skin.map import SkinMap
 from posetrack_cli.head.skin.matching import HEIGHT, WIDTH, SkinAlbum, SkinView
-from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
+from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, SoughtFace, TrackState
 from posetrack_cli.head.tracker.person import (
     IdentityHistory,
     KnownPerson,
@@ -320,6 +320,19 @@ class MonoState(HeadState):
     def is_found(self) -> bool:
         """Whether a face was found in any frame so far."""
         return self.track is not None or bool(self.candidates)
+
+    @property
+    def sought(self) -> SoughtFace | None:
+        """The last candidate."""
+        if not self.candidates:
+            return None
+        last, scale = self.candidates[-1], self.scale or UNSCALED
+        middle = scaled_pixels(last.pixels.mean(axis=0), 1.0 / scale)
+        return SoughtFace(self.candidates[0].stamp_ns, middle, last.eye_distance / scale)
+
+    def after_absence(self) -> MonoState:
+        """Return the state to search with after a long absence: as after a cut."""
+        return replace(self, cut=True)
 
     @property
     def is_continuous(self) -> bool:

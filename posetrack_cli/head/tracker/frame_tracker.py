@@ -247,6 +247,20 @@ NO_EVIDENCE, NO_RECORD = RunningSigns.before(len(SIGNS)), TrackRecord()
 """Values before any frame."""
 
 
+class SoughtFace(NamedTuple):
+    """A face from which a person is being initialised.
+
+    Attributes:
+        first_ns: stamp of its first frame.
+        middle: (2,) pixels of its last place in the recorded image.
+        eye_distance: pixels.
+    """
+
+    first_ns: int
+    middle: FloatArray
+    eye_distance: float
+
+
 @dataclass(frozen=True, eq=False)
 class HeadState:
     """State of a head tracker after a frame; subclasses add the learned face.
@@ -275,6 +289,15 @@ class HeadState:
     def is_found(self) -> bool:
         """Whether a head was found in any frame so far."""
         return self.track is not None
+
+    @property
+    def sought(self) -> SoughtFace | None:
+        """The face from which a person is being initialised over several frames; None without one."""
+        return None
+
+    def after_absence(self) -> HeadState:
+        """Return the state to search with after a long absence."""
+        return self
 
     def last_seen_ns(self, frame: SeededFrame) -> int:
         """Return the stamp of the last tracked frame; a frame interval ago before the first."""

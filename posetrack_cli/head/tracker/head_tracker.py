@@ -16,11 +16,12 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.config import HeadStatusSettings
-from posetrack_cli.head.dense.face import KNOWN_FACES, DenseFaces
+from posetrack_cli.head.config import HeadMonoConfig, HeadStatusSettings, HeadStereoConfig
+from posetrack_cli.head.dense.face import KNOWN_FACES, LEARNED_EVERY, DenseFaces
 from posetrack_cli.head.face.points import MEAN_SHAPE, POSE_SIZE, HeadPose
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.model_file import damaged_model
+from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker.frame_tracker import (
     NO_SIGNS,
     FrameFit,
@@ -214,6 +215,19 @@ class Faces(Protocol[State, Found]):
         """Return warnings about a finished run, one line each."""
 
 
+def dense_faces(
+    config: HeadStereoConfig | HeadMonoConfig,
+    cameras: Sequence[Camera],
+    number_names: Sequence[str],
+    known: Arrays | None,
+) -> DenseFaces | None:
+    """Return what measures the dense face in a pass that starts with what is known; None without it."""
+    if not config.face.use:
+        return None
+    is_first_of_two = config.run.passes > 1 and known is None
+    return DenseFaces(cameras, (*number_names, *SIGN_NAMES), LEARNED_EVERY if is_first_of_two else 1)
+
+
 class HeadTracker(Generic[State, Found]):
     """Tracker of one head.
 
@@ -250,7 +264,7 @@ class HeadTracker(Generic[State, Found]):
 
     def _with_dense(self, frame: Frame, state: State, estimate: Estimate) -> tuple[State, Estimate]:
         """Add the dense face to the estimate of a frame."""
-        if self._dense is None:
+        if self._dense is None or state.record.frames % self._dense.every:
             return state, estimate
         known, estimate = self._dense.add(state.dense, frame, estimate, self._faces.person_index(state))
         return replace(state, dense=known), estimate
@@ -286,9 +300,13 @@ class HeadTracker(Generic[State, Found]):
         waiting = replace(state, lost=max(state.lost, 1))
         return self._with_dense(frame, *self._coast(waiting, SeededFrame(prepared, rng)))
 
+    def is_known(self, state: State) -> bool:
+        """Whether a face has been learned."""
+        return self._faces.is_known(state)
+
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return the learned face as arrays by name; empty while no face is known."""
-        if not self._faces.is_known(state):
+        if not self.is_known(state):
             return {}
         learned = self._faces.export_model(state, for_second_pass=for_second_pass)
         faces = KNOWN_FACES.to_arrays(state.dense)

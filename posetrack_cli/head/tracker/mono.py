@@ -15,7 +15,6 @@ from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
-from posetrack_cli.head.dense.face import DenseFaces
 from posetrack_cli.head.detection.detector import CERTAIN, FaceDetector
 from posetrack_cli.head.face.points import (
     UNSCALED,
@@ -42,7 +41,7 @@ from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.skin.map import MatchedSkin
-from posetrack_cli.head.subject import MONO_TRACK, SIGN_NAMES, MonoDiagnostics, mono_diagnostic_names
+from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics, mono_diagnostic_names
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
     MonoState,
@@ -56,7 +55,7 @@ from posetrack_cli.head.tracker.codecs import (
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, dense_faces
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -155,7 +154,9 @@ class MonoPeople:
         self._landmarks = landmarks
         self._pupil_distance = interpupillary_distance(config.person)
         self.cameras, self.status = (camera,), config.status
-        self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
+        # the papers' configurations, which have no dense face, look once
+        self._detector = FaceDetector(config.start.detection, twice=config.face.use)
+        self._choice, self._clicked = choice, clicked
         self._scaling = Scaling(config.start.eye_distance_px, config.start.largest_scale, camera)
         self._pipelines: dict[float, _ScalePipeline] = {}
         self._people = people_codec(model, config.adjustment)
@@ -421,8 +422,8 @@ class MonoPeople:
         initialiser = self._pipeline(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(CANDIDATE_SPAN_S * 1e9))
         near = state.candidates[-1].pixels if state.candidates else None
-        # after the first frame, frames without a face are searched quickly
-        fresh = not state.search.frames or state.scale is not None
+        # quickly after the first frame, except at a new scale; another person's face was just found so
+        fresh = not state.people and (not state.search.frames or state.scale is not None)
         found = self._detect_near(state, frame.frame, near, thoroughly=fresh or near is not None)
         if isinstance(found, InitFailure):
             return state, found
@@ -667,8 +668,8 @@ def make_mono_tracker(
 ) -> MonoTracker:
     """Create the tracker of a run; see ``make_mono_people``."""
     people = make_mono_people(config, camera, known, **options)
-    names = (*mono_diagnostic_names(people.identity_size), *SIGN_NAMES)
-    return HeadTracker(people, DenseFaces((camera,), names) if config.face.use else None, known)
+    names = mono_diagnostic_names(people.identity_size)
+    return HeadTracker(people, dense_faces(config, (camera,), names, known), known)
 
 
 def _known_scale(known: Arrays, scaling: Scaling) -> float:

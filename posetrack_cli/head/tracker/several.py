@@ -1,4 +1,4 @@
-"""Tracker of all heads in the images of one camera: one head tracker per person **[ours]**.
+"""Tracker of all heads in the images of one or more cameras: one head tracker per person **[ours]**.
 
 Heads exclude each other: what shows the face of one is not searched for another. New people are searched for
 now and then where no tracked head is. The tracker of a second pass knows the people of the first, and where
@@ -7,9 +7,9 @@ each was: ten small patches may match another face as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -17,16 +17,14 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.camera import Camera, in_camera_axes
 from posetrack_cli.head.adjustment.adjuster import angles_of
-from posetrack_cli.head.face.points import UNSCALED, scaled_pixels
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.mono import eye_distance_px
 from posetrack_cli.head.lens.lens import EstimatedLens
-from posetrack_cli.head.tracker.codecs import MonoState
-from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, TrackState
-from posetrack_cli.head.tracker.head_tracker import UNSEEN
-from posetrack_cli.head.tracker.mono import MonoTracker
+from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
+from posetrack_cli.head.tracker.head_tracker import UNSEEN, HeadTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Stamp, floats
 from posetrack_cli.results.estimate import Estimate
@@ -57,14 +55,14 @@ class Member:
     """One head.
 
     Attributes:
-        state: of its tracker.
+        state: of its tracker, for one camera or several.
         tracked: number of frames in which it was followed.
         searched_ns: stamp of the last search while it is lost.
-        trail: (T, 8) in a first pass: stamp, ns, place (2) and eye distance, pixels, ray x/z and y/z, yaw and
-            pitch, rad.
+        trail: (T, 8) in a first pass: stamp, ns, place (2) and eye distance, pixels of the reference camera,
+            ray x/z and y/z, yaw and pitch, rad.
     """
 
-    state: MonoState
+    state: HeadState
     tracked: int = 0
     searched_ns: Stamp = LONG_AGO_NS
     trail: Annotated[FloatArray, floats("trail", TRAIL_SIZE)] = field(
@@ -89,7 +87,7 @@ class HeadsState:
     """
 
     members: tuple[Member, ...] = ()
-    seeker: MonoState | None = None
+    seeker: HeadState | None = None
     sought_ns: Stamp = LONG_AGO_NS
     frames: int = 0
 
@@ -98,15 +96,18 @@ class HeadsTracker:
     """Tracker of several heads; implements ``tracking.two_pass.LearningTracker``.
 
     Args:
-        camera: of the recording.
+        cameras: of the recording, the reference first.
         trackers: of each known person, for a second pass; of a single unknown one for a first pass.
         trails: of each person in the first pass, see ``Member``; None in the first pass.
     """
 
     def __init__(
-        self, camera: Camera, trackers: Sequence[MonoTracker], trails: Sequence[FloatArray] | None = None
+        self,
+        cameras: Sequence[Camera],
+        trackers: Sequence[HeadTracker[Any, Any]],
+        trails: Sequence[FloatArray] | None = None,
     ) -> None:
-        self._camera, self._trackers = camera, tuple(trackers)
+        self._cameras, self._trackers = tuple(cameras), tuple(trackers)
         self._knows_people, self._trails = trails is not None, trails or ()
         of_head = self._trackers[0].codec
         members = Numbered(codec_of(Member, state=of_head), counted="heads", called="head", most=limits.FACES)
@@ -171,7 +172,7 @@ class HeadsTracker:
             for remark in self._of(k).remarks(member.state)
         )
 
-    def _of(self, k: int) -> MonoTracker:
+    def _of(self, k: int) -> HeadTracker[Any, Any]:
         """Return the tracker of a head; in a first pass all have the same."""
         return self._trackers[k if self._knows_people else 0]
 
@@ -218,10 +219,9 @@ class HeadsTracker:
     ) -> _Found:
         """Search for a lost head where no other head is, or was at that time in the first pass."""
         member = state.members[k]
-        taken = [self._region(one.state) for one in others if one.is_seen]
-        taken += [self._guide(j, frame.stamp_ns) for j in range(len(self._trails)) if j != k]
-        taken += [_sought(state.seeker, member)]
-        image = self._covered(frame, taken)
+        places = [self._guide(j, frame.stamp_ns) for j in range(len(self._trails)) if j != k]
+        places += [_sought(state.seeker, member)]
+        image = self._covered(frame, [one.state for one in others if one.is_seen], places)
         found = _Found(*self._of(k).step(_strict(member, frame.stamp_ns), image, rng))
         if found.is_seen and self._is_elsewhere(k, found, frame.stamp_ns):
             return _Found(*self._of(k).miss(member.state, frame, rng))
@@ -261,20 +261,20 @@ class HeadsTracker:
         """Search for another person."""
         seeker, tracker = state.seeker or self._of(0).start(frame, rng), self._of(0)
         waits = state.members and frame.stamp_ns - state.sought_ns < SEARCH_EVERY_NS
-        if waits and not seeker.candidates:
+        if waits and seeker.sought is None:
             seeker, estimate = tracker.miss(seeker, frame, rng)
             return replace(state, seeker=seeker), estimate
-        known = [self._region(member.state) for member in state.members if member.is_seen]
+        known = [member.state for member in state.members if member.is_seen]
         seeker, estimate = tracker.step(seeker, self._covered(frame, known), rng)
         state = replace(state, seeker=seeker, sought_ns=frame.stamp_ns)
-        if not seeker.people:
+        if not tracker.is_known(seeker):
             return state, estimate
         members = (*state.members, Member(seeker, tracked=1))
         # where there is one, there may be another: search in the next frame
         return replace(state, members=members, seeker=None, sought_ns=LONG_AGO_NS), estimate
 
-    def _are_one(self, first: MonoState, second: MonoState) -> bool:
-        """Whether two seen heads are at the same place in the image."""
+    def _are_one(self, first: HeadState, second: HeadState) -> bool:
+        """Whether two seen heads are at the same place in the reference camera's image."""
         one, other = self._region(first), self._region(second)
         return one is not None and other is not None and one.is_near(other, ONE_FACE_EYES)
 
@@ -292,21 +292,33 @@ class HeadsTracker:
         searched_ns = stamp_ns if due else member.searched_ns
         return Member(found.state, member.tracked + is_tracked, searched_ns, trail)
 
-    def _region(self, state: MonoState) -> _Region | None:
-        return _region(state.track, self._camera)
+    def _region(self, state: HeadState) -> _Region | None:
+        """Return the place of a head in the image of the reference camera."""
+        return _region(state.track, self._cameras[0])
 
-    def _covered(self, frame: Frame, regions: Sequence[_Region | None]) -> Frame:
-        """Return a frame with some faces painted over."""
-        (image,), known = frame.images, [region for region in regions if region is not None]
-        if image is None or not known:
-            return frame
-        painted: ImageArray = image.copy()
-        grey = float(image.mean())
-        for region in known:
-            axes = tuple(max(round(region.eye_distance * half), 1) for half in COVERED_EYES)
-            middle = tuple(np.rint(region.middle).astype(int).tolist())
-            cv2.ellipse(painted, middle, axes, np.degrees(region.roll), 0.0, 360.0, grey, -1)
-        return replace(frame, images=(painted,))
+    def _covered(
+        self, frame: Frame, seen: Sequence[HeadState], places: Sequence[_Region | None] = ()
+    ) -> Frame:
+        """Return a frame in which seen heads, and places of the reference image, are painted over."""
+        painted: list[ImageArray | None] = []
+        for camera, image in zip(self._cameras, frame.images, strict=True):
+            regions = [_region(state.track, camera) for state in seen]
+            painted.append(_painted(image, [*regions, *(() if painted else places)]))
+        return replace(frame, images=tuple(painted))
+
+
+def _painted(image: ImageArray | None, regions: Sequence[_Region | None]) -> ImageArray | None:
+    """Return an image with some faces painted over."""
+    known = [region for region in regions if region is not None]
+    if image is None or not known:
+        return image
+    painted: ImageArray = image.copy()
+    grey = float(image.mean())
+    for region in known:
+        axes = tuple(max(round(region.eye_distance * half), 1) for half in COVERED_EYES)
+        middle = tuple(np.rint(region.middle).astype(int).tolist())
+        cv2.ellipse(painted, middle, axes, np.degrees(region.roll), 0.0, 360.0, grey, -1)
+    return painted
 
 
 _FAR = 10.0
@@ -347,7 +359,7 @@ def of_head(lens: EstimatedLens | None, trail: FloatArray) -> EstimatedLens | No
 class _Found:
     """State and estimate of a head after a frame."""
 
-    state: MonoState
+    state: HeadState
     estimate: Estimate
 
     @property
@@ -372,24 +384,24 @@ class _Region:
 def _region(track: TrackState | None, camera: Camera) -> _Region | None:
     if track is None:
         return None
-    pixels = project((camera,), track.pose.points(track.shape)).pixels[0]
+    pose = track.pose
+    pixels = project((camera,), pose.points(track.shape)).pixels[0]
     far = _FAR * max(camera.width, camera.height)
     if not np.isfinite(pixels).all() or np.abs(pixels).max() > far:
         return None
     across = pixels[2:4].mean(axis=0) - pixels[:2].mean(axis=0)
     roll = float(np.arctan2(across[1], across[0]))
-    return _Region(pixels.mean(axis=0), eye_distance_px(track.pose, camera), roll)
+    there = HeadPose(in_camera_axes(camera, pose.position), pose.quaternion)
+    return _Region(pixels.mean(axis=0), eye_distance_px(there, camera), roll)
 
 
-def _sought(seeker: MonoState | None, member: Member) -> _Region | None:
+def _sought(seeker: HeadState | None, member: Member) -> _Region | None:
     """Return the face of a person who is being initialised and was seen together with a head."""
-    if seeker is None or not seeker.candidates or member.state.track is None:
+    if seeker is None or seeker.sought is None or member.state.track is None:
         return None
-    first, last, scale = seeker.candidates[0], seeker.candidates[-1], seeker.scale or UNSCALED
-    if first.stamp_ns > member.state.track.stamp_ns:
+    if seeker.sought.first_ns > member.state.track.stamp_ns:
         return None  # it may be this head
-    middle = scaled_pixels(last.pixels.mean(axis=0), 1.0 / scale)
-    return _Region(middle, last.eye_distance / scale, 0.0)
+    return _Region(seeker.sought.middle, seeker.sought.eye_distance, 0.0)
 
 
 def _away_ns(member: Member, stamp_ns: int) -> int:
@@ -404,7 +416,25 @@ def _is_due(member: Member, stamp_ns: int) -> bool:
     return not is_absent or stamp_ns - member.searched_ns >= ABSENT_EVERY_NS
 
 
-def _strict(member: Member, stamp_ns: int) -> MonoState:
+def _strict(member: Member, stamp_ns: int) -> HeadState:
     """Return the state to search with: lost, and after a long absence with the look of an average frame."""
     state = replace(member.state, lost=max(member.state.lost, 1))
-    return replace(state, cut=True) if _away_ns(member, stamp_ns) > ABSENT_AFTER_NS else state
+    return state.after_absence() if _away_ns(member, stamp_ns) > ABSENT_AFTER_NS else state
+
+
+def make_heads_tracker(
+    cameras: Sequence[Camera],
+    known: Learned | None,
+    make_one: Callable[[Learned | None, FloatArray], HeadTracker[Any, Any]],
+) -> HeadsTracker:
+    """Return the tracker of all heads in a pass.
+
+    Args:
+        cameras: of the recording, the reference first.
+        known: output of ``HeadsTracker.learned``, for a second pass.
+        make_one: creates the tracker of a head, given what is known of it and its trail.
+    """
+    if known is None:
+        return HeadsTracker(cameras, [make_one(None, np.zeros((0, TRAIL_SIZE)))])
+    people = people_of(known)
+    return HeadsTracker(cameras, [make_one(*one) for one in people], [trail for _, trail in people])

@@ -15,7 +15,6 @@ from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.adjustment.adjuster import PointView
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
-from posetrack_cli.head.dense.face import DenseFaces
 from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, rigid_model
 from posetrack_cli.head.face.templates import CAMERAS, TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
@@ -30,7 +29,7 @@ from posetrack_cli.head.refinement.refine import (
 )
 from posetrack_cli.head.skin.map import SkinMap, cut_view, make_map, pose_on_map
 from posetrack_cli.head.skin.matching import MOST_VIEWS, SkinAlbum
-from posetrack_cli.head.subject import SIGN_NAMES, STEREO_TRACK, StereoDiagnostics, stereo_diagnostic_names
+from posetrack_cli.head.subject import STEREO_TRACK, StereoDiagnostics, stereo_diagnostic_names
 from posetrack_cli.head.tracker.codecs import map_codec, search_codec, skin_codec
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
@@ -42,7 +41,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, dense_faces, padded
 from posetrack_cli.head.tracker.whole_face import whole_face_fit
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
@@ -304,8 +303,7 @@ def make_stereo_tracker(
     else:
         points = ClickedPoints.read(clicked, cameras)
         initialiser = ClickedInitialiser(settings, cameras, points, faces)
-    names = (*stereo_diagnostic_names(components_of(config)), *SIGN_NAMES)
-    dense = DenseFaces(cameras, names) if config.face.use else None
+    dense = dense_faces(config, cameras, stereo_diagnostic_names(components_of(config)), known)
     return HeadTracker(StereoFace(config, cameras, initialiser, known), dense, known)
 
 

@@ -27,6 +27,7 @@ from posetrack_cli.recording.camera_file import (
     image_camera,
     load_depth_camera,
     load_rig,
+    used_window,
 )
 from posetrack_cli.recording.camera_of import ImageCamera, Resampling, at_size, is_same
 from posetrack_cli.recording.depth import Depth
@@ -129,11 +130,7 @@ def open_depth(dataset: Dataset, options: ReadingOptions) -> Recording:
         found = dataset.image_camera(width, height)
     else:
         found = image_camera(settings, file, (width, height))
-    mirror = options.get("mirror")
-    window = Window(
-        None if settings is None else settings.crop,
-        bool(settings and settings.mirror) if mirror is None else mirror,
-    )
+    window = used_window(None if settings is None else settings.crop, settings, options)
     is_float = first.dtype.kind == "f"
     encoding: Any = "16UC1" if unit_mm == 1.0 and not is_float else "32FC1"
     pixels = Depth(width, height, encoding, unit_mm, missing, is_float=is_float)

@@ -12,7 +12,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
+from posetrack_cli.head.dense.numbers import CLOSED_BELOW, TRUE_NUMBERS
 from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.rendering.devices import device_or_default
@@ -410,8 +410,6 @@ def _two_channels(tone: FloatArray | Float32Array, gloss: float) -> ImageArray:
 
 # Frames
 
-CLOSED_BELOW = 0.5
-"""Opening of the lids, as a share of the usual one, below which true eyes are closed."""
 COMPONENTS = 0
 """The truth has no deformation coefficients, as they are specific to a model; points show the deformation."""
 

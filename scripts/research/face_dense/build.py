@@ -96,6 +96,7 @@ def build(face_kit: Path, out: Path) -> None:
     from research.face_dense.training import spread_of, train, weights_of
 
     kit = read_face_kit(face_kit)
+    out.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(
         out / expressions.SHIPPED.name, displacements=expression_displacements(kit).astype(np.float32)
     )

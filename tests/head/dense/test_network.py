@@ -7,6 +7,7 @@ import numpy as np
 from posetrack_cli.head.dense.network import (
     EYE_NETWORK,
     GAZE_NETWORK,
+    KERNELS,
     LEAST_CONTRAST,
     LEAST_SD,
     POSITION_SCALE,
@@ -19,8 +20,9 @@ def _outputs(network, crop):
     """Return the outputs, computed with shifted copies of whole images."""
     grey = crop.astype(np.float64)
     layer = ((grey - grey.mean()) / (grey.std() + LEAST_CONTRAST))[..., None]
-    for weights, bias in network.convolutions:
-        size, margin = len(weights), len(weights) // 2
+    for size, (rows, bias) in zip(KERNELS, network.convolutions, strict=True):
+        inputs, margin = layer.shape[2], size // 2
+        weights = rows[:, : size * size * inputs].T.reshape(size, size, inputs, len(bias))
         padded = np.pad(layer, ((margin, margin), (margin, margin), (0, 0)))
         height, width = layer.shape[:2]
         total = np.zeros(((height + 1) // 2, (width + 1) // 2, len(bias))) + bias

@@ -11,7 +11,7 @@ import pytest
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.config import DetectionSettings
-from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.detector import CERTAIN, FaceDetector
 from posetrack_cli.head.detection.finders import FaceGuess, HaarFaces, YunetFaces
 from posetrack_cli.head.detection.search import ROTATIONS, SearchedImage, Way
 from posetrack_cli.head.face.points import EYES, MIRRORED
@@ -87,6 +87,44 @@ def test_a_mirrored_face_has_mirrored_points(measured_data: Path) -> None:
     assert np.median(distances) < 3.0
 
 
+LEARNED = DetectionSettings(points="learned", least_point_score=0.6)
+
+
+class TrueAndFalse:
+    """Finds the face at a place only when searched again, and a larger one in the background before."""
+
+    def __init__(self, true: FaceGuess, *others: FaceGuess, again: bool) -> None:
+        self._found, self._later = (others, (true,)) if again else ((*others, true), ())
+
+    def find(self, image: np.ndarray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
+        return self._found
+
+    def find_turned(self, image: np.ndarray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
+        return ()
+
+    def find_again(self, image: np.ndarray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
+        return self._later
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_face_counts_before_a_larger_doubtful_one_and_is_searched_twice(
+    measured_data: Path, monkeypatch: pytest.MonkeyPatch, again: bool
+) -> None:
+    """The second detection lies at the chin, where points do not look like a face's."""
+    image = grey(measured_data / "heads" / "person-b" / "left" / "000000.jpg")
+    detector = FaceDetector(LEARNED)
+    (usual,) = detector.detect(image).faces
+    assert usual.score > CERTAIN
+    chin = usual.guess.middle + np.array([0.0, 2.0 * usual.guess.eye_distance])
+    large = FaceGuess(chin, 1.5 * usual.guess.eye_distance, 0.0, 0.9)
+    monkeypatch.setattr(detector, "_finder", TrueAndFalse(usual.guess, large, again=again))
+    first = detector.detect(image).faces[0]
+    np.testing.assert_allclose(first.pixels, usual.pixels, atol=1.0)
+    corners = FaceDetector()  # as printed: one search
+    monkeypatch.setattr(corners, "_finder", TrueAndFalse(usual.guess, again=True))
+    assert corners.detect(image).faces == ()
+
+
 def test_where_no_face_is_none_is_found() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
     detection = FaceDetector().detect(cv2.GaussianBlur(noise, (0, 0), 4))
@@ -144,6 +182,8 @@ class Upright:
 
     def find_turned(self, image: np.ndarray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
         return ()
+
+    find_again = find_turned
 
 
 @pytest.mark.parametrize("degrees", [-60.0, -35.0, 30.0, 90.0, 179.0])

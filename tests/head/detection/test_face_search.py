@@ -20,7 +20,7 @@ from posetrack_cli.synthesis.head.options import HeadSynthOptions
 def test_quick_searches_add_up_to_the_thorough_one() -> None:
     cycle = range(4 * len(ROTATIONS))
     ways = {way._replace(area=0.0) for index in cycle for way in quick_ways(index)}
-    assert ways == {way._replace(area=0.0) for way in thorough_ways(None)}
+    assert ways == {way._replace(area=0.0) for way in thorough_ways(None) if not way.again}
     assert all(quick_ways(index)[0].is_usual for index in cycle)
 
 

@@ -46,8 +46,8 @@ def test_a_face_is_told_with_its_pose_and_size():
     np.testing.assert_allclose(NEAR.difference(face.pose), 0.0, atol=1e-4)
 
 
-def test_the_choice_is_by_size_whatever_the_detectors_order():
-    faces = [found(FAR), found(NEAR)]
+def test_the_choice_is_by_the_detectors_order():
+    faces = [found(NEAR), found(FAR)]
     assert detect(faces).pose.position[2] == pytest.approx(700.0)
     assert detect(faces, choice=1).pose.position[2] == pytest.approx(1000.0)
     assert detect(faces, choice=2) == InitFailure("2 faces, not 3", 0.9)
