@@ -272,7 +272,6 @@ def adjusted(
     tile_px: int,
     *,
     iterations: int = 12,
-    converged: float = CONVERGED,
     terms: Terms | None = None,
 ) -> Bundle:
     """Minimise the residuals of all frames over shape and poses by Gauss-Newton.
@@ -293,7 +292,6 @@ def adjusted(
         observe: returns the observations.
         tile_px: their side.
         iterations: limit.
-        converged: largest last step of a parameter, in standard deviations.
         terms: weights of the residuals.
     """
     terms = terms or Terms()
@@ -322,7 +320,7 @@ def adjusted(
         poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
         thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MAX_THUMB, MAX_THUMB)
         theta = np.clip(theta + step, space.low, space.high)  # rounding may exceed a bound by an ulp
-        if np.abs(step / np.sqrt(np.diag(covariance))).max() < converged:
+        if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
             break
     stated = np.linalg.inv((matrix - prior) / OVERCONFIDENCE + prior)
     return Bundle(space.shape(theta), poses, thumbs, np.asarray(stated), residual, taken)

@@ -31,7 +31,7 @@ from posetrack_cli.hand.model.anatomy import (
 from posetrack_cli.hand.model.hand import HandMaker, HandModel, hand_maker, inside_limits
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, best_of, quick_search
+from posetrack_cli.hand.search import Acquisition, best_of
 from posetrack_cli.hand.shape_bundle import Bundle, Observe, adjusted
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.phases import Advance, phase
@@ -311,12 +311,12 @@ def _assignments(settings: HandSettings, left_out: set[str]) -> tuple[str, ...]:
 # of them. The first round uses the average shape and one frame per part of the recording, the second its
 # result and more frames. A third round follows if the result fits no better than the average hand.
 
-SAMPLED_FRAMES = 64  # at most, evenly over the recording
+SAMPLED_FRAMES = 64  # evenly over the recording; up to twice as many where its length does not divide
 _ASSUMED_FRAMES = 900  # of a recording of unknown length: half a minute
 ROUNDS, MAX_ROUNDS = 2, 3  # a shape with extreme padding recovers in the third round
 _MIN_FRAMES = 4  # or all of a recording with fewer
 _MAX_COST_RATIO = 1.15  # to the median cost; the hand is misplaced in costlier frames
-_ITERATIONS, _CONVERGED = 8, 0.2  # at most, and last step in standard deviations: frames differ by more
+_ITERATIONS = 8
 _MAX_SIZE_RATIO = 1.25  # a shape that changes size by more explains something else
 _BASELINE_PERCENT = 20.0  # percentile of the frames' costs that counts as a good fit
 
@@ -514,7 +514,7 @@ class _Calibrator:
         """
         options, count = self._options, self._recording.frame_count
         ahead = _ASSUMED_FRAMES if count is None else count - options.start
-        stride = max(1, -(-ahead // SAMPLED_FRAMES))
+        stride = max(1, ahead // SAMPLED_FRAMES)
         shown = FrameSelector(options.frames, -(-ahead // stride))
         with phase("selecting frames", "frame", -(-ahead // stride)) as advance:
             for frame in self._recording.frames(start=options.start, end=None, stride=stride):
@@ -525,9 +525,8 @@ class _Calibrator:
             raise RecordingError("recording has no frame", where=self._recording.path)
         return shown
 
-    def _finder(self, shape: HandShape, *, quick: bool = False) -> Acquisition:
-        config = quick_search(self._config) if quick else self._config
-        return Acquisition(config, self.maker(self._side, shape), self._camera)
+    def _finder(self, shape: HandShape) -> Acquisition:
+        return Acquisition(self._config, self.maker(self._side, shape), self._camera)
 
     def find(
         self, shape: HandShape, most: int, round_name: str, known: Mapping[int, FloatArray]
@@ -542,8 +541,7 @@ class _Calibrator:
             round_name: for the progress bar.
             known: poses (22,) of the hand, by frame; other frames are searched.
         """
-        # an adjusted shape leaves fewer hypotheses that look alike
-        finder, frames = self._finder(shape, quick=bool(known)), self._frames[:most]
+        finder, frames = self._finder(shape), self._frames[:most]
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
         with phase(f"finding the {self._side} hand, {round_name}", "frame", len(frames)) as advance:
@@ -593,7 +591,6 @@ class _Calibrator:
                 self._observing([self._frames[k] for k in chosen], advance),
                 self._config.observation.tile_px,
                 iterations=_ITERATIONS,
-                converged=_CONVERGED,
                 terms=_terms(self._config),
             )
 
