@@ -160,7 +160,7 @@ def test_a_head_is_tracked_from_arrays_like_from_its_recording(tmp_path: Path) -
     assert_equal(list(tracking), load_arrays(mono))
     with pytest.raises(PosetrackError, match="person applies to one camera"):
         posetrack.track_head(recording, person=result)
-    with pytest.raises(PosetrackError, match="faces applies to one camera"):
+    with pytest.raises(PosetrackError, match="all faces require two passes"):
         posetrack.track_head(recording, faces="all")
     same = posetrack.track_head(images[reference.name], reference, person=result, **one_pass)
     assert same.run["scale"] == "person"
