@@ -94,7 +94,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         clicked = None if self.clicked is None else ClickedPoints(Path("clicked.csv"), self.clicked[None])
-        with patch.object(mono, "FaceDetector", lambda settings: self.told):
+        with patch.object(mono, "FaceDetector", lambda settings, twice: self.told):
             people = mono.MonoPeople(self.config, CAMERA, MODEL, clicked=clicked, known=self.known)
             self.tracker = mono.HeadTracker(people)
 

@@ -97,7 +97,7 @@ class Scene:
     def __init__(self, config: HeadMonoConfig = SMALL, size: float = UNSCALED, **how: object) -> None:
         self.told, self.rng, self.size = Told(), np.random.default_rng(0), size
         camera = scaled_camera(SCENE_CAMERA, size)
-        with patch.object(mono, "FaceDetector", lambda settings: self.told):
+        with patch.object(mono, "FaceDetector", lambda settings, twice: self.told):
             self.tracker = mono.HeadTracker(mono.MonoPeople(config, camera, MODEL, **how))
         self.state: MonoState | None = None
 
