@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,12 +24,18 @@ from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.evaluation.measuring.honesty import calibration_error, reliability, roc_area
 from posetrack_cli.evaluation.measuring.subjects.hand import FAR_MM
 from posetrack_cli.evaluation.measuring.subjects.head import FAR_DEG
+from posetrack_cli.geometry.rotations import (
+    angle_between,
+    conjugate,
+    head_quaternion_from_roll_pitch_yaw,
+    multiply,
+)
 from posetrack_cli.hand import confidence as of_hands
 from posetrack_cli.head import subject as of_heads
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from research import hands
-from research.heads import CALIBRATION, TRUTH, compare
+from research.heads import CALIBRATION, TRUTH, Compared, compare
 
 Bounds = tuple[float | None, float | None]
 PENALTY = 1e-3  # on squared weights, for standardised signs
@@ -100,11 +107,13 @@ def head_frames(person: str, result: Path, truth: Path | None = None) -> Frames:
         truth: ground truth file; None for the ground truth in the result.
     """
     one, is_real = compare(result, truth), person.endswith(REAL)
-    shapes = one.points_mm()[1].mean(axis=1)
+    rotation_deg = typical_rotation_deg(one)
+    usual = one.followed & (rotation_deg <= of_heads.RIGHT_DEG)
+    shapes = replace(one, followed=usual).points_mm()[1].mean(axis=1)
 
     def within(unsure: float) -> BoolArray:
         """Return (M,) whether rotations and points are right, within ``unsure`` reference errors."""
-        turned = one.rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
+        turned = rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
         found: BoolArray = turned & (shapes <= of_heads.RIGHT_MM + unsure * UNSURE_MM)
         return found
 
@@ -113,8 +122,24 @@ def head_frames(person: str, result: Path, truth: Path | None = None) -> Frames:
     signs = signs[np.searchsorted(stamps, one.stamp_ns)]
     right, nearly = (within(factor * is_real) for factor in (1.0, 2.0))
     chosen = np.isfinite(signs).all(axis=1) & (right | ~nearly)
-    far, weight = one.rotation_deg > FAR_DEG, USUAL_WEIGHT if person.endswith(USUAL) else 1.0
+    far, weight = rotation_deg > FAR_DEG, USUAL_WEIGHT if person.endswith(USUAL) else 1.0
     return Frames(person.rstrip(USUAL + REAL), signs[chosen], right[chosen], far[chosen], is_real, weight)
+
+
+def typical_rotation_deg(one: Compared) -> FloatArray:
+    """Return rotation errors (M,) after removal of the offset of the most typical frame.
+
+    The mean offset of a hard recording is that of its wrong frames: it would make the right ones wrong.
+    """
+    mine, theirs = (
+        head_quaternion_from_roll_pitch_yaw(np.radians(columns[:, 3:]))
+        for columns in (one.columns, one.true_columns)
+    )
+    offsets = multiply(conjugate(theirs), mine)
+    apart = np.degrees(angle_between(offsets[:, None], offsets[None]))
+    followed = np.flatnonzero(one.followed) if one.followed.any() else np.arange(len(apart))
+    chosen: FloatArray = apart[followed[np.argmin(apart[np.ix_(followed, followed)].sum(axis=1))]]
+    return chosen
 
 
 def fitted(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]) -> Regression:

@@ -50,7 +50,8 @@ from posetrack_cli.tracking.confidence import PROBABLY, Regression, RunningSigns
 #
 #     misfit          log (r + .4)    r: RMS distance of the points from the face model, % of the eye distance
 #     smallness       log (80 / e)    e: eye distance of a face that looks at the camera, pixels
-#     unsteadiness    log (u + .2)    u: rotation error of the constant-velocity prediction, degrees
+#     unsteadiness    log (u + .2)    u: rotation error of the constant-velocity prediction, degrees, over the
+#                                     square root of the number of usual frame intervals
 #     unseen          1 - W           W: mean weight of the points, 0 (hidden or unlike) to 1
 #     unmatched       1 - M           M: share of the skin points found again; second pass of one camera only,
 #                                     otherwise 0 with a weight of 0
@@ -115,10 +116,12 @@ def confidence_signs(
 
 
 def _turn_error_deg(before: TrackState | None, fit: FrameFit) -> float:
-    """Rotation error of the constant-velocity prediction."""
+    """Rotation error of the constant-velocity prediction, relative to how the particles' spread grows."""
     velocity = np.zeros(3) if before is None else before.velocity[3:]
-    turned = np.linalg.norm(fit.track.velocity[3:] - velocity) * min(fit.dt, _LONGEST_S)
-    return float(np.degrees(turned))
+    seconds = min(fit.dt, _LONGEST_S)
+    turned = np.linalg.norm(fit.track.velocity[3:] - velocity) * seconds
+    # whole intervals: stamps that jitter by a nanosecond change nothing
+    return float(np.degrees(turned) / np.sqrt(max(round(seconds / FRAME_S), 1)))
 
 
 # Frame-to-frame tracking: particle filter, refinement, individual points

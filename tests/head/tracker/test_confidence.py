@@ -86,6 +86,13 @@ def test_unsteady_is_what_turns_otherwise_than_before() -> None:
         assert np.exp(unsteady) == pytest.approx(off_deg + 0.2)
 
 
+def test_a_lower_frame_rate_predicts_worse_without_being_unsteady() -> None:
+    """Over four frame intervals, a prediction may be off by twice as much: 1.15 deg count as 0.57 deg."""
+    turning = replace(fit_of().track, velocity=np.array([0.0, 0.0, 0.0, 0.15, 0.0, 0.0]))
+    fit = replace(fit_of(), dt=4 / 30, track=turning)
+    assert np.exp(confidence_signs(None, fit, fit, CAMERA)[2]) == pytest.approx(np.degrees(0.01) + 0.2)
+
+
 @pytest.mark.parametrize("regression", REGRESSIONS)
 def test_worse_signs_are_never_more_probable(regression: Regression) -> None:
     good = np.array([np.log(0.7), 0.0, np.log(0.4), 0.25, 0.15])
