@@ -56,7 +56,7 @@ UNLIKE_MM = (3.0, 3.5)
 from the second on something else, such as a face mask. Turned faces have larger ones."""
 RIGHT_UNLIKE, UNLIKE_SD = 0.55, np.radians([12.0, 5.0, 1.0])
 """Probability that a pose is right whose mouth is something else, and the standard deviations of its pitch,
-yaw and roll: one camera takes the points there for those of a face."""
+yaw and roll: the points there are taken for those of a face."""
 PRIOR_FACES = 10.0
 """Number of frames that the average face counts for in a person's neutral face."""
 LEARNED_EVERY = 3
@@ -152,7 +152,7 @@ class DenseFaces:
         known = (*known[:person], face, *known[person + 1 :])
         camera = self._cameras[0]
         eyes_px = EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / estimate.position[2]
-        if eyes_px >= LEAST_EYES_PX and len(self._cameras) == 1:
+        if eyes_px >= LEAST_EYES_PX:
             estimate = doubted(estimate, points)
         gazes = points.gazes if eyes_px >= LEAST_EYES_PX else np.full((2, 3), np.nan)
         numbers = [own, _actions(face, lengths, points), _gazes(face, lengths, gazes, pose)]
