@@ -125,6 +125,7 @@ _SAME_SIZE_MM, _SAME_SIZE = 4.0, 0.03  # cost, and relative difference, at which
 _SIZE_SD, _MAX_SIZE_PENALTY_MM = (0.12, 0.15), 2.5
 
 _HOPELESS_MM = 4.0  # a side this much worse is not tried in other sizes
+_OPEN_MM = 10.0  # a size is tried until its costs sum up to this much more than the cheapest's
 _FAR_WORSE_MM = 3.0  # a hand this much worse is only fitted roughly: it decides nothing
 
 
@@ -261,14 +262,21 @@ class SideAndScaleSearch:
                     {k for side in possible for k in self._climb_scale(side, costs, appraise)}
                 )
         else:
+            costs[:, self._tried] = costs[:, [own]]  # of a side whose size remains unknown
             for side, k in product(possible, set(self._tried) - {own}):
                 appraise(side, k)
         self._costs += costs
         self.frame_count += 1
-        self._tried = [k for k in {*self._tried, self._best[1]} if abs(k - self._best[1]) <= 1]
         if len(self.sides) > 1:
             most = CLEAR_LOG_ODDS if costs.min() <= KNOWN_HAND_MM else MAX_PER_FRAME
             self._log_odds += side_log_odds(float(costs[0].min()), float(costs[1].min()), most)
+        self._tried = self._open_sizes()
+
+    def _open_sizes(self) -> list[int]:
+        """Return the cheapest size, and of those tried its neighbours and any that costs little more."""
+        side, best = self._best
+        more = self._total_costs[side] - self._total_costs[side, best]
+        return [k for k in {*self._tried, best} if abs(k - best) <= 1 or more[k] < _OPEN_MM]
 
     def _add_keypoints(self, frame: Frame) -> None:
         """Add the evidence of the frame's keypoints for the side."""

@@ -187,6 +187,7 @@ def head_runs() -> Iterator[Step]:
         "stereo-paper": f"{{two}} --config head-stereo-paper --end 8 {FEWER}",
         "stereo-landmarks": f"{{two}} --landmarks {{landmarks}} --landmarks-unit px --end 8 {FEWER}",
         "stereo-clicked": f"{{two}} --init {{landmarks:1}} --detector haar --end 8 {FEWER}",
+        "stereo-faces": f"{{two}} --faces all --passes 2 --end 10 {FEWER}",
         "motions-result": f"{{motions}} --set model.components=3 {FEWER}",
     }
     mono = {

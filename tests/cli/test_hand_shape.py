@@ -24,7 +24,7 @@ from support.hand import REST
 from support.results import RUN, write_result
 
 SHAPE = HandShape(0.8, coefficients=(1.5, -1.0))
-FRAMES, REST_HAND = 4, make_anatomy()
+FRAMES, REST_HAND = 6, make_anatomy()
 FEW = ("--particles", "16", "--end", "2", "--set", "acquisition.fitted=16", "--set", "acquisition.refined=2")
 
 

