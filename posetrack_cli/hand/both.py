@@ -87,8 +87,10 @@ class PairFinder:
 
     @property
     def shows_two(self) -> bool:
-        """Whether some frame clearly shows two hands."""
-        return any(one.shows_both for one in self._pairs("looking for a second hand", SECOND_MM))
+        """Whether two frames, or the only one, clearly show two hands: a body may look like one once."""
+        pairs = self._pairs("looking for a second hand", SECOND_MM)
+        least = 1 if self._recording.frame_count == self._start + 1 else 2
+        return len(list(islice((one for one in pairs if one.shows_both), least))) == least
 
     @property
     def frames(self) -> list[PairFrame]:

@@ -23,6 +23,7 @@ from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.search import ACCEPT_MM, Candidate, cheapest_pair, lead_of
 from posetrack_cli.hand.shape_fit import combined, read_shape
 from posetrack_cli.hand.tracker import FIRST_STEP_NS
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import read_result
 from posetrack_cli.results.columns import Columns
@@ -225,6 +226,22 @@ def test_two_hands_are_counted_and_one_before_a_wall_is_not_two(
     one = Drawn.of(Stage(device, HANDS["right"]), [pair[0] for pair in poses[::6]])
     assert PairFinder(recording, HandConfig(), 1.0, 0).shows_two
     assert not PairFinder(one, HandConfig(), 1.0, 0).shows_two
+
+
+@pytest.mark.parametrize(("seen_in", "frames", "shows_two"), [(1, 16, False), (2, 16, True), (1, 1, True)])
+def test_one_frame_of_several_is_not_enough_for_a_second_hand(
+    monkeypatch: pytest.MonkeyPatch, seen_in: int, frames: int, shows_two: bool
+) -> None:
+    """Part of a body may look like a hand once."""
+    wrist, leads = np.zeros(3), (0.0, 0.0)
+
+    def pair_in(finder: PairFinder, frame: Frame, limit_mm: float) -> PairFrame:
+        return PairFrame(frame, (wrist, wrist if frame.index < seen_in else None), leads)
+
+    monkeypatch.setattr(PairFinder, "_pair_in", pair_in)
+    depth = np.zeros((KINECT.height, KINECT.width), np.float32)
+    recording = Drawn((depth,) * frames)
+    assert PairFinder(recording, HandConfig(), 1.0, 0).shows_two is shows_two
 
 
 def test_two_people_show_hands_of_one_side(recording: Drawn) -> None:
