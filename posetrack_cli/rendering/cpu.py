@@ -58,13 +58,12 @@ _NEIGHBOURS = tuple(
     (j + REACH_PX, i + REACH_PX) for j in _REACH for i in _REACH if 0 < i * i + j * j <= REACH_PX * REACH_PX
 )
 _SQUARES = tuple(np.float32((j - REACH_PX) ** 2 + (i - REACH_PX) ** 2) for j, i in _NEIGHBOURS)
-"""Rows and columns of a pixel's neighbours in ``empty_depths``, and their squared distances, pixels."""
+"""Rows and columns of a pixel's neighbours in ``Pixels.depths``, and their squared distances, pixels."""
 ROW = 8
 """Sums per tile, in the order of ``TileSums.from_rows``."""
 _LISTS = 10
-_APART = (
-    48  # numbers between lists beyond the pixels: lists at multiples of 4096 bytes would share cache lines
-)
+_APART = 48
+"""Numbers between lists beyond the pixels: lists at multiples of 4096 bytes would share cache lines."""
 
 
 class Reading(NamedTuple):
@@ -166,9 +165,7 @@ def _exponentiate(values: Float32Array, bits: ImageArray, floats: Float32Array, 
 
 
 @borrowing
-def _sort(
-    box: tuple[int, int, int, int], reading: Reading, model: Mixture, pixels: Pixels
-) -> tuple[int, int, int]:
+def _sort(box: tuple[int, int, int, int], reading: Reading, pixels: Pixels) -> tuple[int, int, int]:
     """List the pixels of a tile by what they need; return how many are in the three lists.
 
     Returns:
@@ -421,7 +418,7 @@ def add_sums(drawing: Drawing, reading: Reading, model: Mixture, pixels: Pixels,
         _add_counts(drawing, box, reading, row)
         return
     _fill_depths(drawing.inverse, pixels.depths)
-    both, uncovered, other = _sort(box, reading, model, pixels)
+    both, uncovered, other = _sort(box, reading, pixels)
     _add_others(other, reading, model, pixels, row)
     far = _add_targets(both, reading, model, pixels, row)
     _add_neighbours(far, uncovered, reading, model, pixels, row)

@@ -13,7 +13,7 @@ from posetrack_cli.hand.config import HandConfig, StatusSettings
 from posetrack_cli.hand.policy import TrackMonitor
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.results.estimate import Status
+from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.confidence import MEMORY, RunningSigns
 from support.hand_scene import HANDS, Stage, relaxed, tracker
 
@@ -61,27 +61,27 @@ def test_a_miss_after_a_gap_counts_like_as_many_misses() -> None:
     assert TrackMonitor().after_miss(status, status.lost_after_frames).lost
 
 
+def clear_estimate(device: RenderingDevice, **status: float) -> Estimate:
+    """The estimate of a clear frame with some settings of status."""
+    pose, config = relaxed(), HandConfig.model_validate({"status": status})
+    frame = Frame(0, 0, (Stage(device, HAND).depth(pose),))
+    follower, rng = tracker(device, HAND, config), np.random.default_rng(1)
+    return follower.step(follower.start_unknown(pose, frame, rng), frame, rng)[1]
+
+
 def test_doubt_about_side_or_size_is_part_of_the_confidence(device: RenderingDevice) -> None:
     """A clear frame of a hand that is the right one with probability .4: as likely wrong, so it is lost."""
-    pose, confidences = relaxed(), []
-    frame = Frame(0, 0, (Stage(device, HAND).depth(pose),))
+    confidences = []
     for probability in (1.0, 0.4):
-        config = HandConfig.model_validate({"status": {"hand_probability": probability}})
-        follower, rng = tracker(device, HAND, config), np.random.default_rng(1)
-        _, estimate = follower.step(follower.start_unknown(pose, frame, rng), frame, rng)
+        estimate = clear_estimate(device, hand_probability=probability)
         assert (estimate.status is Status.LOST) == (probability < 0.5)
         confidences.append(estimate.confidence)
     assert confidences[1] == pytest.approx(0.4 * confidences[0], rel=1e-6)
 
 
 def test_doubt_about_a_shape_lowers_the_log_odds(device: RenderingDevice) -> None:
-    pose, odds = relaxed(), []
-    frame = Frame(0, 0, (Stage(device, HAND).depth(pose),))
-    for doubt in (0.0, 4.0):
-        config = HandConfig.model_validate({"status": {"shape_doubt": doubt}})
-        follower, rng = tracker(device, HAND, config), np.random.default_rng(1)
-        _, estimate = follower.step(follower.start_unknown(pose, frame, rng), frame, rng)
-        odds.append(estimate.confidence / (1.0 - estimate.confidence))
+    confidences = [clear_estimate(device, shape_doubt=doubt).confidence for doubt in (0.0, 4.0)]
+    odds = [one / (1.0 - one) for one in confidences]
     assert odds[1] == pytest.approx(odds[0] * np.exp(-4.0), rel=1e-6)
 
 

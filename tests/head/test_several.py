@@ -37,12 +37,11 @@ HIDDEN = range(10, 14)
 """Frames in which the head behind is covered by more than half."""
 
 
-@pytest.fixture(scope="module")
-def crossing(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two people who pass each other, 860 and 660 mm away."""
-    options = HeadSynthOptions(
-        cameras=1,
-        frames=FRAMES,
+def shown(cameras: int, frames: int) -> HeadSynthOptions:
+    """Small images of calm faces."""
+    return HeadSynthOptions(
+        cameras=cameras,
+        frames=frames,
         fps=FPS,
         width=400,
         height=300,
@@ -50,8 +49,13 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> Path:
         motion="slight",
         light="steady",
     )
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two people who pass each other, 860 and 660 mm away."""
     behind, before = Walker(3, (-190, 860), (190, 860), 1), Walker(7, (160, 660), (-160, 660), 2)
-    return make_recording(tmp_path_factory.mktemp("two") / "crossing", [behind, before], options)
+    return make_recording(tmp_path_factory.mktemp("two") / "crossing", [behind, before], shown(1, FRAMES))
 
 
 def tracked(recording: Path, output: Path, *, stop_after: int | None = None, resume: bool = False) -> None:
@@ -123,18 +127,8 @@ def test_an_interrupted_run_continues_to_the_same_bytes(crossing: Path, result: 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two people next to each other before two cameras, 760 and 700 mm away."""
-    options = HeadSynthOptions(
-        cameras=2,
-        frames=12,
-        fps=FPS,
-        width=400,
-        height=300,
-        expressions=False,
-        motion="slight",
-        light="steady",
-    )
     right, left = Walker(3, (-130, 760), (-120, 760), 1), Walker(7, (110, 700), (110, 690), 2)
-    return make_recording(tmp_path_factory.mktemp("two") / "pair", [right, left], options)
+    return make_recording(tmp_path_factory.mktemp("two") / "pair", [right, left], shown(2, 12))
 
 
 def test_two_heads_before_two_cameras(pair: Path, tmp_path: Path) -> None:
