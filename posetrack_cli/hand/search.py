@@ -423,7 +423,11 @@ class Bar(NamedTuple):
     """
 
     cost: float = np.inf
-    total_cost: float = np.inf
+    total_cost: float = -np.inf
+
+    def at(self, penalty_mm: float) -> float:
+        """Return the bar for the cost at a place with a penalty."""
+        return max(self.cost, self.total_cost - penalty_mm)
 
 
 NO_BAR = Bar()
@@ -463,7 +467,11 @@ class Acquisition:
         self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
 
     def search(
-        self, depth: ImageArray, extra: Sequence[Candidate] = (), bar: Bar = NO_BAR
+        self,
+        depth: ImageArray,
+        extra: Sequence[Candidate] = (),
+        bar: Bar = NO_BAR,
+        detections: Sequence[Detection] | None = None,
     ) -> Candidate | None:
         """Return the best hand in a whole image, None if none fits.
 
@@ -471,8 +479,10 @@ class Acquisition:
             depth: (height, width) mm.
             extra: further candidates, such as from keypoints.
             bar: what the hand is needed for.
+            detections: of the image, if known.
         """
-        found = [one for _, one in self._fit_places(depth, self.detect(depth), bar)]
+        detections = self.detect(depth) if detections is None else detections
+        found = [one for _, one in self._fit_places(depth, detections, bar, _ALIKE_MM)]
         return best_of(merge_candidates(found, extra))
 
     def candidates(self, depth: ImageArray) -> list[Candidate]:
@@ -500,7 +510,7 @@ class Acquisition:
             extra: further candidates, such as from keypoints.
             below_mm: cost above which a rough one is sufficient.
         """
-        found = self._fit_places(depth, detections, Bar(below_mm))
+        found = self._fit_places(depth, detections, Bar(below_mm), _ALIKE_MM)
         candidates = merge_candidates([one for _, one in found], extra)
         if not candidates:
             return self._config.observation.clamp_mm, list(detections)
@@ -523,24 +533,27 @@ class Acquisition:
         return detections if unit == 1.0 else [detection.enlarged(unit) for detection in detections]
 
     def _fit_places(
-        self, depth: ImageArray, detections: Sequence[Detection], bar: Bar = NO_BAR
+        self,
+        depth: ImageArray,
+        detections: Sequence[Detection],
+        bar: Bar = NO_BAR,
+        beyond_mm: float = np.inf,
     ) -> list[tuple[Detection, Candidate]]:
-        """Fit the detections, without those whose penalty no cost could make up for."""
+        """Fit the detections, the likeliest first, without those whose penalty no cost could make up for.
+
+        Hands that cost ``beyond_mm`` more than the best are only fitted roughly.
+        """
         penalties = [detection_penalty(detection) for detection in detections]
-        least = min(penalties, default=0.0)
-        near = [
-            (d, detection)
-            for d, detection in zip(penalties, detections, strict=True)
-            if d < least + _HOPELESS_MM
-        ]
-        fitted = (
-            (p, detection, self._fit_detection(depth, detection, max(bar.cost, bar.total_cost - p)))
-            for p, detection in near
-        )
-        found = [
-            (p, replace(one, total_cost=one.cost + penalty)) for penalty, p, one in fitted if one is not None
-        ]
-        best = min((one.total_cost for _, one in found), default=0.0)
+        found: list[tuple[Detection, Candidate]] = []
+        best = np.inf
+        for k in np.argsort(penalties, kind="stable"):
+            penalty, detection = penalties[k], detections[k]
+            if penalty >= min(penalties) + _HOPELESS_MM:
+                break
+            one = self._fit_detection(depth, detection, min(bar.at(penalty), best + beyond_mm - penalty))
+            if one is not None:
+                found.append((detection, replace(one, total_cost=one.cost + penalty)))
+                best = min(best, found[-1][1].total_cost)
         return [
             (detection, self._resolve(depth, one) if one.total_cost < best + _CLOSE_MM else one)
             for detection, one in found
