@@ -550,7 +550,7 @@ class _Calibrator:
                 if k in known:
                     found = finder.refit(depth, known[k])
                 else:
-                    found = finder.search(depth, detections=self._detections[frames[k].index])
+                    found = finder.best_at(depth, self._detections[frames[k].index])
                 if found is not None:
                     poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
                     thumbs[k] = found.inner[THUMB]
