@@ -65,14 +65,15 @@ def test_the_nearer_of_two_hands_is_found(finder: Acquisition, stage: Stage) -> 
     assert stage.error(found.pose, near) < FOUND_MM
 
 
+@pytest.mark.parametrize("bar", [Bar(cost=-10.0), Bar(cost=-10.0, total_cost=-10.0)])
 def test_hands_that_are_of_no_use_are_only_fitted_roughly(
-    finder: Acquisition, stage: Stage, monkeypatch: pytest.MonkeyPatch
+    finder: Acquisition, stage: Stage, monkeypatch: pytest.MonkeyPatch, bar: Bar
 ) -> None:
-    """A hand above its bar is found as well, only not as closely."""
+    """A hand above its bar, or above both, is found as well, only not as closely."""
     depth = stage.depth(relaxed())
     full = finder.search(depth, bar=Bar(cost=3.0))
     monkeypatch.setattr(Acquisition, "_fit_fully", lambda *_: pytest.fail("fitted to all pixels"))
-    rough = finder.search(depth, bar=Bar(cost=-10.0, total_cost=-10.0))
+    rough = finder.search(depth, bar=bar)
     assert full is not None and rough is not None
     assert full.cost <= rough.cost < ACCEPT_MM
     assert stage.error(rough.pose, relaxed()) < FOUND_MM
