@@ -357,6 +357,7 @@ class Calibration:
         begun_scale, begun_mm: scale and length of the start shape.
         covariance: (S, S) of the shape's parameters.
         unit_mm: millimetres per stored unit of depth.
+        unlikeliness: of the shape among people, nats: half its squared distance from the mean, in sd.
         frame_costs: costs of the last round's hand by frame index, mm, of frames that show it.
     """
 
@@ -372,6 +373,7 @@ class Calibration:
     begun_mm: float
     covariance: FloatArray
     unit_mm: float = 1.0
+    unlikeliness: float = 0.0
     frame_costs: Mapping[int, float] = field(default_factory=dict)
 
     @property
@@ -446,6 +448,7 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
         begun_mm,
         found.covariance,
         unit_mm_of(recording.pixels[0]),
+        0.5 * float(np.square(calibrator.space.theta(shape) / calibrator.space.sd).sum()),
         calibrator.costs_by_index(costs),
     )
 

@@ -68,6 +68,14 @@ def test_sides_are_compared_frame_by_frame() -> None:
     assert decided.side == "left" and decided.log_odds == pytest.approx(4.0 * np.mean(odds))
 
 
+def test_of_hands_that_fit_alike_the_usual_one_is_the_likelier() -> None:
+    def estimate(side: str) -> Calibration:
+        return replace(costing(side, 4.0), unlikeliness=20.0 if side == "right" else 10.0)
+
+    decided = decide_side(told(0.5), estimate)
+    assert decided.side == "left" and decided.log_odds == pytest.approx(0.4 * 10.0 - 0.5)
+
+
 def test_shapes_without_a_common_frame_leave_the_side_as_it_was() -> None:
     def estimate(side: str) -> Calibration:
         found = calibration_of(HandShape(), side, costs_mm=(9.0, 3.0 if side == "left" else 8.0))
