@@ -40,8 +40,8 @@ from posetrack_cli.recording.recording import Recording
 
 # The frames of a shape count as this many independent ones **[ours]**: they share the shape's error.
 _SHAPE_FRAMES = 4.0
-# Weight of the shapes' log prior ratio **[ours]**: of two hands that fit alike, the unusual one is the wrong one
-# in eight of nine recordings of quickly closing hands. At 1 a good fit of an unusual hand would not count.
+# Weight of the shapes' log prior ratio **[ours]**: of two hands that fit alike, the unusual one is the wrong
+# one in eight of nine recordings of quickly closing hands. At 1 a good fit of an unusual hand does not count.
 _SHAPE_PRIOR = 0.4
 
 
