@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -279,20 +280,23 @@ def detected_poses(detection: Detection, anatomy: HandAnatomy) -> FloatArray:
 
     The fingers point away from the elbow or, without a visible forearm, in all directions of the image.
     """
-    if detection.arm is not None:
-        turns = _rotations_along(detection.arm, _TILTS)
-    else:
-        ways = np.stack([np.sin(_IN_PLANE), -np.cos(_IN_PLANE), np.zeros(len(_IN_PLANE))], axis=1)
-        turns = [rotation for way in ways for rotation in _rotations_along(way, np.zeros(1))]
+    arm = detection.arm
+    turns = _rotations_in_plane() if arm is None else _rotations_along(arm, _TILTS)
     middle = detection.palm + _SURFACE_MM * detection.palm / np.linalg.norm(detection.palm)
-    return _poses_at(np.array(turns), middle, anatomy)
+    return _poses_at(turns, middle, anatomy)
+
+
+@cache
+def _rotations_in_plane() -> FloatArray:
+    """Return rotations (M, 4) of hands that point in all directions of the image."""
+    ways = np.stack([np.sin(_IN_PLANE), -np.cos(_IN_PLANE), np.zeros(len(_IN_PLANE))], axis=1)
+    return np.concatenate([_rotations_along(way, np.zeros(1)) for way in ways])
 
 
 def turned_poses(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
     """Return poses (H, 22) that look like a given one: turned about its length, open to closed."""
     palm = _palm_of(pose, anatomy)
-    about = [rotations.exponential(np.array([0.0, turn, 0.0])) for turn in _TURNS]
-    turns = np.array([rotations.multiply(pose[3:7], turn) for turn in about])
+    turns = rotations.multiply(pose[3:7], rotations.exponential(_TURNS[:, None] * [0.0, 1.0, 0.0]))
     return np.concatenate(
         [_poses_at(turns, palm, anatomy), _poses_at(turns, palm, anatomy, pose[None, ANGLES])]
     )
@@ -304,16 +308,11 @@ def _palm_of(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
     return palm
 
 
-def _rotations_along(along: FloatArray, tilts: FloatArray) -> list[FloatArray]:
-    """Return rotations of a hand whose forearm points along a unit vector."""
-    arm = _pointing(along)
-    return [
-        rotations.multiply(
-            rotations.multiply(arm, rotations.exponential(np.array([0.0, turn, 0.0]))),
-            rotations.exponential(np.array([tilt, 0.0, 0.0])),
-        )
-        for turn, tilt in product(_TURNS, tilts)
-    ]
+def _rotations_along(along: FloatArray, tilts: FloatArray) -> FloatArray:
+    """Return rotations (M, 4) of a hand whose forearm points along a unit vector."""
+    turned = rotations.multiply(_pointing(along), rotations.exponential(_TURNS[:, None] * [0.0, 1.0, 0.0]))
+    tilted = rotations.multiply(turned[:, None], rotations.exponential(tilts[:, None] * [1.0, 0.0, 0.0]))
+    return tilted.reshape(-1, 4)
 
 
 def _pointing(along: FloatArray) -> FloatArray:
