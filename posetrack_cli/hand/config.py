@@ -318,13 +318,14 @@ class AcquisitionSettings(Settings):
 class StatusSettings(Settings):
     """Limits of doubt and loss of a track (``hand/policy.py``).
 
-    A fit whose cost D is far above the track's mean, or above ``doubt_above_mm``, triggers a search. A fit
-    that costs more than good fits of the recording, and more than ``retry_above_mm``, is retried in place. A
-    hand is lost when 1 - D / c_max stays below ``lost_below`` for ``lost_after_frames`` frames; the whole
-    image is then searched. Confidence falls with the ratio of a fit's cost to ``baseline_cost_mm``, the cost
-    of good fits in the whole recording; 0 means unknown, and a shape estimated from the recording sets it.
-    Confidence is multiplied by ``hand_probability``, which is below 1 after an uncertain detection. Its log
-    odds are reduced by ``shape_doubt`` where the shape comes from very few frames.
+    A fit whose cost D is far above the track's mean, or above ``doubt_above_mm``, triggers a search, unless D
+    is little above a known ``baseline_cost_mm``. A fit that costs more than good fits of the recording, and
+    more than ``retry_above_mm``, is retried in place. A hand is lost when 1 - D / c_max stays below
+    ``lost_below`` for ``lost_after_frames`` frames; the whole image is then searched. Confidence falls with
+    the ratio of a fit's cost to ``baseline_cost_mm``, the cost of good fits in the whole recording; 0 means
+    unknown, and a shape estimated from the recording sets it. Confidence is multiplied by
+    ``hand_probability``, which is below 1 after an uncertain detection. Its log odds are reduced by
+    ``shape_doubt`` where the shape comes from very few frames.
     """
 
     renamed_keys: ClassVar[Mapping[str, str]] = {
@@ -333,10 +334,12 @@ class StatusSettings(Settings):
         "good_mm": "baseline_cost_mm",
     }
 
-    doubt_above_mm: NotNegative = setting(6.0, "a fit above this cost always triggers a search")
+    doubt_above_mm: NotNegative = setting(
+        6.0, "a fit above this cost, and that of good fits, triggers a search"
+    )
     retry_above_mm: NotNegative = setting(2.2, "a fit up to this cost is never retried")
     baseline_cost_mm: NotNegative = setting(
-        0.0, "cost of good fits in this recording, for confidence; 0: from the estimated shape, if any"
+        0.0, "cost of good fits in this recording, for confidence and doubt; 0: from the estimated shape"
     )
     hand_probability: Fraction = setting(
         1.0, "probability of the hand's side and size, for confidence; set by their detection"

@@ -290,12 +290,18 @@ def detected_poses(detection: Detection, anatomy: HandAnatomy) -> FloatArray:
 
 def turned_poses(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
     """Return poses (H, 22) that look like a given one: turned about its length, open to closed."""
-    palm = joint_positions(anatomy, pose[None])[0, _KNUCKLES].mean(axis=0)
+    palm = _palm_of(pose, anatomy)
     about = [rotations.exponential(np.array([0.0, turn, 0.0])) for turn in _TURNS]
     turns = np.array([rotations.multiply(pose[3:7], turn) for turn in about])
     return np.concatenate(
         [_poses_at(turns, palm, anatomy), _poses_at(turns, palm, anatomy, pose[None, ANGLES])]
     )
+
+
+def _palm_of(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
+    """Return the centre (3,) of the palm of a pose (22,), mm."""
+    palm: FloatArray = joint_positions(anatomy, pose[None])[0, _KNUCKLES].mean(axis=0)
+    return palm
 
 
 def _rotations_along(along: FloatArray, tilts: FloatArray) -> list[FloatArray]:
@@ -367,6 +373,9 @@ SAME_WRIST_MM = 60.0
 """Wrist distance up to which two candidates are the same hand."""
 LIKELY_PAIR_MM = 16.0
 """Largest cautious cost of a hand in a recording that is known to show two."""
+_HERE_MM = 100.0
+"""Distance of palms up to which a detection may lead to a given hand: of 81 that did in two real recordings,
+one was farther."""
 _ONE_ARM_MM, _ASIDE_MM = 200.0, 40.0
 """Largest distance of a wrist along the other hand's forearm, and aside, on one arm **[ours]**: the hand and
 its elbow, taken for another hand, are 60 to 110 mm apart and at most 30 mm aside."""
@@ -423,7 +432,11 @@ class Bar(NamedTuple):
     """
 
     cost: float = np.inf
-    total_cost: float = np.inf
+    total_cost: float = -np.inf
+
+    def at(self, penalty_mm: float) -> float:
+        """Return the bar for the cost at a place with a penalty."""
+        return max(self.cost, self.total_cost - penalty_mm)
 
 
 NO_BAR = Bar()
@@ -463,7 +476,11 @@ class Acquisition:
         self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
 
     def search(
-        self, depth: ImageArray, extra: Sequence[Candidate] = (), bar: Bar = NO_BAR
+        self,
+        depth: ImageArray,
+        extra: Sequence[Candidate] = (),
+        bar: Bar = NO_BAR,
+        around: FloatArray | None = None,
     ) -> Candidate | None:
         """Return the best hand in a whole image, None if none fits.
 
@@ -471,9 +488,18 @@ class Acquisition:
             depth: (height, width) mm.
             extra: further candidates, such as from keypoints.
             bar: what the hand is needed for.
+            around: (22,) pose, if only hands at its place are of use.
         """
-        found = [one for _, one in self._fit_places(depth, self.detect(depth), bar)]
+        detections = self.detect(depth)
+        if around is not None:
+            palm = _palm_of(around, self._hand.anatomy)
+            detections = [one for one in detections if np.linalg.norm(one.palm - palm) < _HERE_MM]
+        found = [one for _, one in self._fit_places(depth, detections, bar, _ALIKE_MM)]
         return best_of(merge_candidates(found, extra))
+
+    def best_at(self, depth: ImageArray, detections: Sequence[Detection]) -> Candidate | None:
+        """Return the best hand at detections in an image (height, width), mm, None if none fits."""
+        return best_of([one for _, one in self._fit_places(depth, detections, beyond_mm=_ALIKE_MM)])
 
     def candidates(self, depth: ImageArray) -> list[Candidate]:
         """Return the hands that fit a whole image (height, width), mm, one per place."""
@@ -500,7 +526,7 @@ class Acquisition:
             extra: further candidates, such as from keypoints.
             below_mm: cost above which a rough one is sufficient.
         """
-        found = self._fit_places(depth, detections, Bar(below_mm))
+        found = self._fit_places(depth, detections, Bar(below_mm), _ALIKE_MM)
         candidates = merge_candidates([one for _, one in found], extra)
         if not candidates:
             return self._config.observation.clamp_mm, list(detections)
@@ -523,34 +549,38 @@ class Acquisition:
         return detections if unit == 1.0 else [detection.enlarged(unit) for detection in detections]
 
     def _fit_places(
-        self, depth: ImageArray, detections: Sequence[Detection], bar: Bar = NO_BAR
+        self,
+        depth: ImageArray,
+        detections: Sequence[Detection],
+        bar: Bar = NO_BAR,
+        beyond_mm: float = np.inf,
     ) -> list[tuple[Detection, Candidate]]:
-        """Fit the detections, without those whose penalty no cost could make up for."""
+        """Fit the detections, the likeliest first, without those whose penalty no cost could make up for.
+
+        Hands that cost ``beyond_mm`` more than the best are only fitted roughly.
+        """
         penalties = [detection_penalty(detection) for detection in detections]
-        least = min(penalties, default=0.0)
-        near = [
-            (d, detection)
-            for d, detection in zip(penalties, detections, strict=True)
-            if d < least + _HOPELESS_MM
-        ]
-        fitted = (
-            (p, detection, self._fit_detection(depth, detection, max(bar.cost, bar.total_cost - p)))
-            for p, detection in near
-        )
-        found = [
-            (p, replace(one, total_cost=one.cost + penalty)) for penalty, p, one in fitted if one is not None
-        ]
-        best = min((one.total_cost for _, one in found), default=0.0)
+        found: list[tuple[Detection, Candidate]] = []
+        best = np.inf
+        for k in np.argsort(penalties, kind="stable"):
+            penalty, detection = penalties[k], detections[k]
+            if penalty >= min(penalties) + _HOPELESS_MM:
+                break
+            one = self._fit_detection(depth, detection, min(bar.at(penalty), best + beyond_mm - penalty))
+            if one is not None:
+                found.append((detection, replace(one, total_cost=one.cost + penalty)))
+                best = min(best, found[-1][1].total_cost)
         return [
-            (detection, self._resolve(depth, one) if one.total_cost < best + _CLOSE_MM else one)
+            (detection, self._resolve(depth, one, bar) if one.total_cost < best + _CLOSE_MM else one)
             for detection, one in found
         ]
 
-    def _resolve(self, depth: ImageArray, found: Candidate) -> Candidate:
+    def _resolve(self, depth: ImageArray, found: Candidate, bar: Bar) -> Candidate:
         """Return the candidate, or a cheaper lookalike if it fits poorly."""
         if found.cost <= self._config.status.doubt_above_mm:
             return found
-        other = self.lookalike(depth, found, found.cost)
+        needed = max(bar.cost, bar.total_cost - (found.total_cost - found.cost))
+        other = self.lookalike(depth, found, min(found.cost, needed))
         return found if other is None or other.cost >= found.cost else other
 
     def lookalike(self, depth: ImageArray, place: Candidate, below_mm: float = np.inf) -> Candidate | None:

@@ -104,6 +104,17 @@ def test_doubt_begins_where_stated() -> None:
     assert not TrackMonitor().is_far_above_mean(1e9)
 
 
+def test_poor_fits_are_no_doubt_where_good_ones_of_the_recording_are_as_poor() -> None:
+    """With a hand of another shape, every frame would else be searched."""
+    monitor, known = TrackMonitor(mean_cost_mm=9.0), StatusSettings(baseline_cost_mm=8.0)
+    assert [monitor.is_doubtful(cost, known) for cost in (10.4, 10.6)] == [False, True]  # 1.25 * 8 + .5
+    assert monitor.is_doubtful(10.4, SETTINGS)  # the recording is unknown: all fits may be at a wrong place
+    stuck = replace(monitor, baseline_cost_mm=12.0)  # at a wrong place from the first frame
+    assert stuck.is_doubtful(12.0, known)
+    better = replace(monitor, baseline_cost_mm=4.0)
+    assert [better.is_doubtful(cost, known) for cost in (5.9, 6.1)] == [False, True]  # never below 6
+
+
 @given(watches, costs, costs)
 def test_a_dearer_fit_is_doubted_no_less(monitor: TrackMonitor, first: float, second: float) -> None:
     cheap, dear = sorted((first, second))
@@ -259,7 +270,7 @@ def test_looks_that_do_not_help_come_seldom_and_one_is_due_when_fits_get_worse()
 
 
 class Finder:
-    """Finds what it was given: in a window, and in the whole image."""
+    """Finds what it was given: in a window, and in the whole image or at a place of it."""
 
     def __init__(self, in_window: Candidate | None = None, in_image: Candidate | None = None) -> None:
         self._in_window, self._in_image = in_window, in_image
@@ -271,8 +282,10 @@ class Finder:
         self.bar = Bar(below_mm, -np.inf)
         return self._in_window
 
-    def search(self, depth: object, told: object = (), bar: Bar = NO_BAR) -> Candidate | None:
-        self.asked.append("image")
+    def search(
+        self, depth: object, told: object = (), bar: Bar = NO_BAR, around: object = None
+    ) -> Candidate | None:
+        self.asked.append("image" if around is None else "place")
         self.bar = bar
         return self._in_image
 
@@ -286,6 +299,8 @@ def placed(aside_mm: float = 0.0, *, faces_away: bool = False) -> np.ndarray:
 HERE, BESIDE, AWAY = placed(), placed(10.0), placed(300.0)
 USUAL = TrackMonitor(mean_cost_mm=2.0, baseline_cost_mm=2.0)
 """Doubts begin at 1.5 * 2 + 2 = 5 mm, looks at 1.15 * 2 + .5 = 2.8."""
+POOR = TrackMonitor(mean_cost_mm=5.0, baseline_cost_mm=5.0, search_wait=3)
+"""Doubtful above 6 mm, far above good fits from 1.25 * 5 + .5 = 6.75; no search of the image is due."""
 NEARLY = replace(USUAL, better_elsewhere=LEAVE_AFTER_SEARCHES - 1)
 KEEP, REFINE, RESTART = "keep", "refine", "restart"
 TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, str, list[str]]] = {
@@ -307,6 +322,23 @@ TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, 
         None,
         KEEP,
         [],
+    ),
+    "far above good fits, better in the window": (POOR, 6.9, Candidate(HERE, 6.0), None, REFINE, ["window"]),
+    "far above good fits, better at the place": (
+        POOR,
+        6.9,
+        Candidate(HERE, 6.8),
+        Candidate(BESIDE, 6.0),
+        REFINE,
+        ["window", "place"],
+    ),
+    "far above good fits, better elsewhere": (
+        POOR,
+        6.9,
+        None,
+        Candidate(AWAY, 2.0, total_cost=2.0),
+        KEEP,
+        ["window", "place"],
     ),
     "doubtful, better in the window": (USUAL, 6.5, Candidate(HERE, 2.0), None, REFINE, ["window"]),
     "doubtful, nothing anywhere": (USUAL, 6.5, None, None, KEEP, ["window", "image"]),
