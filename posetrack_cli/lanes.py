@@ -17,6 +17,8 @@ import numpy as np
 
 BLOCK = 16
 """Lanes of a block of float32."""
+_LINE = 64
+"""Bytes of a cache line; vectors that lie in two take twice as long."""
 _BYTES = {"float": 4, "i32": 4, "double": 8, "i64": 8}
 
 
@@ -89,6 +91,11 @@ class Lanes:
         splat, element = self._splat(count), self._element()
         steps = _ir().Constant(splat.value.type, [_ir().Constant(element, k) for k in range(count)])
         return splat + Lanes(self.builder, steps)
+
+    def number(self, index: int) -> Lanes:
+        """Return one element of an array."""
+        place = self.builder.gep(self.value, [_ir().Constant(_ir().IntType(64), index)])
+        return Lanes(self.builder, self.builder.load(place))
 
     def load(self, at: Lanes, count: int) -> Lanes:
         """Return the elements of an array from an index on; memory must reach so far."""
@@ -284,8 +291,10 @@ def _within(count: Lanes) -> Lanes:
 
 
 def padded(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return a copy whose memory reaches a block further."""
-    memory = np.zeros(values.size + BLOCK, values.dtype)
-    copy = memory[: values.size].reshape(values.shape)
+    """Return a copy whose memory reaches a block further, and begins where a cache line does."""
+    size, spare = values.size, _LINE // values.itemsize
+    memory = np.zeros(size + BLOCK + spare, values.dtype)
+    first = -memory.ctypes.data % _LINE // values.itemsize
+    copy = memory[first : first + size].reshape(values.shape)
     copy[...] = values
     return copy

@@ -56,6 +56,7 @@ class Drawing(NamedTuple):
         triangle: (h, w) nearest triangle, or NOTHING.
         normals: (T, 3) unit normals of the triangles that face the camera, towards it.
         facing: (V,) whether a vertex belongs to a triangle that faces the camera.
+        columns: (B + 1, 4, 4) buffer: columns of the bones, and one point.
     """
 
     vertices: FloatArray
@@ -64,6 +65,7 @@ class Drawing(NamedTuple):
     triangle: IntArray
     normals: FloatArray
     facing: BoolArray
+    columns: FloatArray
 
 
 def rest_mesh(mesh: SkinnedMesh) -> RestMesh:
@@ -88,23 +90,45 @@ def empty_drawing(mesh: RestMesh, height: int, width: int) -> Drawing:
         padded(np.full((height, width), NOTHING, dtype=np.int64)),
         np.zeros((len(mesh.triangles), 3)),
         np.zeros(count, dtype=np.bool_),
+        padded(np.zeros((int(mesh.bones.max()) + 2, 4, 4))),
     )
+
+
+@emitted
+def _move_point(columns: Lanes, bone: Lanes, to: Lanes, x: Lanes, y: Lanes, z: Lanes, weight: Lanes) -> None:
+    """Write a point moved by a bone, times a weight, to a block of the bones' columns."""
+    columns.store(to * 16, _moved(columns, bone * 16, x, y, z) * weight)
+
+
+@emitted
+def _add_moved(columns: Lanes, bone: Lanes, to: Lanes, x: Lanes, y: Lanes, z: Lanes, weight: Lanes) -> None:
+    """Add a point moved by a bone, times a weight."""
+    moved = _moved(columns, bone * 16, x, y, z) * weight
+    columns.store(to * 16, columns.load(to * 16, 4) + moved)
+
+
+def _moved(columns: Lanes, at: Lanes, x: Lanes, y: Lanes, z: Lanes) -> Lanes:
+    a, b, c, d = (columns.load(at + 4 * k, 4) for k in range(4))
+    return a * x + b * y + c * z + d
 
 
 @borrowing
 def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Pose and project the vertices; return False if one is too near."""
-    vertices, indices, weights = mesh.vertices, mesh.bones, mesh.weights
+    vertices, indices, weights, columns = mesh.vertices, mesh.bones, mesh.weights, out.columns
+    last = len(columns) - 1
+    for b in range(last):
+        for i in range(3):
+            for j in range(4):
+                columns[b, j, i] = bones[b, i, j]
     for v in range(len(vertices)):
         x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        px, py, pz = 0.0, 0.0, 0.0
-        for k in range(weights.shape[1]):
-            w, b = weights[v, k], indices[v, k]
-            if w == 0.0:
+        _move_point(columns, indices[v, 0], last, x, y, z, weights[v, 0])
+        for k in range(1, weights.shape[1]):
+            if weights[v, k] == 0.0:
                 break
-            px += w * (bones[b, 0, 0] * x + bones[b, 0, 1] * y + bones[b, 0, 2] * z + bones[b, 0, 3])
-            py += w * (bones[b, 1, 0] * x + bones[b, 1, 1] * y + bones[b, 1, 2] * z + bones[b, 1, 3])
-            pz += w * (bones[b, 2, 0] * x + bones[b, 2, 1] * y + bones[b, 2, 2] * z + bones[b, 2, 3])
+            _add_moved(columns, indices[v, k], last, x, y, z, weights[v, k])
+        px, py, pz = columns[last, 0, 0], columns[last, 0, 1], columns[last, 0, 2]
         if not pz >= NEAR_MM:  # also true for NaN
             return False
         out.vertices[v, 0], out.vertices[v, 1], out.vertices[v, 2] = px, py, pz
