@@ -40,8 +40,8 @@ from posetrack_cli.recording.recording import Recording
 
 # The frames of a shape count as this many independent ones **[ours]**: they share the shape's error.
 _SHAPE_FRAMES = 4.0
-# Weight of the shapes' log prior ratio **[ours]**: of two hands that fit alike, the unusual one is the wrong
-# one in eight of nine recordings of quickly closing hands. At 1 a good fit of an unusual hand does not count.
+# Weight of the shapes' log prior ratio **[ours]**: of two hands that fit alike, the unusual one is wrong in
+# eight of nine recordings of quickly closing hands. At 1 a good fit of an unusual hand would not count.
 _SHAPE_PRIOR = 0.4
 
 
@@ -477,13 +477,10 @@ def detect_hand(
     if config.hand.count in (BOTH, ONE_OF_TWO):
         return _both_hands(recording, config, start, search, is_open=is_open)
     estimate = _shapes(recording, config, search, CalibrationOptions(start=start))
-
-    def estimate_usable(side: str) -> Calibration | None:
-        found = estimate(side)
-        return found if found is not None and _is_usable(found) else None
-
-    likelier = decide_side(search, estimate_usable if is_unknown else lambda side: None)
+    likelier = decide_side(search, estimate if is_unknown else lambda side: None)
     sized, found = _with_scale(config, search, likelier.side), likelier.found
+    if found is not None and not _is_usable(found):
+        found = None
     hand = f"a {likelier.side} hand"
     warning = ""
     if not likelier.is_sure:
