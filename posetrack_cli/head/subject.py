@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.actions import ACTION_NAMES, action_numbers
-from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.dense.numbers import FACE_NUMBERS
 from posetrack_cli.head.face.points import BROWS, LINES, POINT_COUNT, POINT_NAMES, of_kinds
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.tracking.confidence import SIGN
 from posetrack_cli.tracking.velocity import VelocityModel
+
+if TYPE_CHECKING:
+    from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 
 # Motion and systematic errors of tracked heads, for each tracker **[ours]**
 
@@ -78,6 +81,8 @@ MONO_TRACK = TrackModel(
 
 def track_model(config: HeadStereoConfig | HeadMonoConfig) -> TrackModel:
     """Return the track model for a configuration."""
+    from posetrack_cli.head.config import HeadMonoConfig  # which takes 60 ms, and evaluation needs none
+
     return MONO_TRACK if isinstance(config, HeadMonoConfig) else STEREO_TRACK
 
 

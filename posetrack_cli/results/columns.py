@@ -118,17 +118,22 @@ def joined(blocks: Iterable[Columns]) -> Columns:
 
 
 class Joiner:
-    """Concatenates blocks. Arrays grow in place, so peak memory is little above the size of the columns."""
+    """Concatenates blocks. Arrays grow in place, so peak memory is little above the size of the columns.
 
-    def __init__(self) -> None:
+    Args:
+        single: fields that are kept in single precision.
+    """
+
+    def __init__(self, single: Collection[str] = ()) -> None:
         self._grown: Columns = {}
-        self._count = 0
+        self._single, self._count = single, 0
 
     def add(self, block: Columns) -> None:
         """Copy a block."""
         rows, count = len(next(iter(block.values()), ())), self._count
         for name, part in block.items():
-            column = self._grown.setdefault(name, np.empty_like(part[:0]))
+            kind = np.float32 if name in self._single else part.dtype
+            column = self._grown.setdefault(name, np.empty((0, *part.shape[1:]), kind))
             if count + rows > len(column):
                 _resize(column, count + max(rows, _GROWTH_FRAMES, count // 32))
             column[count : count + rows] = part
@@ -162,6 +167,7 @@ _PATTERNS = {
 }
 _OF_NUMBERS = b"-+.0123456789eE"
 _POINT = b'{"x":,"y":,"z":}'
+_COMMAS = bytes.maketrans(b";", b",")
 Texts: TypeAlias = tuple[bytes | None, ...]
 """Texts of the fields in ``BY_NAME``, arrays without brackets; None for missing ones."""
 
@@ -255,14 +261,11 @@ def _numbers(name: str, texts: Sequence[bytes | None], size: int) -> list[Any]:
             raise ValueError("different number of entries")
         return []
     usual = b",".join([_POINT] * (size // 3)) if name == "points" else b"," * (size - 1)
-    missing, commas = b"0" + b",0" * (size - 1), size - 1
-    filled = [missing if text is None else text for text in texts]
-    joined = b",".join(filled)
-    usual = b",".join([usual] * len(filled))
-    # Counted, too, as the numbers that one text lacks may be in the next.
-    if joined.translate(None, _OF_NUMBERS) != usual or any(text.count(b",") != commas for text in filled):
+    missing = b"0" + b",0" * (size - 1)
+    joined = b";".join([missing if text is None else text for text in texts])
+    if joined.translate(None, _OF_NUMBERS) != b";".join([usual] * len(texts)):
         raise _OtherLayoutError("different number of entries")
-    numbers = joined.translate(None, b'{}":xyz') if name == "points" else joined
+    numbers = joined.translate(_COMMAS, b'{}":xyz' if name == "points" else b"")
     return cast("list[Any]", from_json(b"[%b]" % numbers))
 
 

@@ -278,20 +278,24 @@ class Result:
         return self.columns_of({topic: fields or self.field_names})[topic]
 
     def columns_of(
-        self, wanted: Mapping[str, Collection[str]], names: Mapping[str, Sequence[str]] = NO_NAMES
+        self,
+        wanted: Mapping[str, Collection[str]],
+        names: Mapping[str, Sequence[str]] = NO_NAMES,
+        single: Collection[str] = (),
     ) -> dict[str, Columns]:
         """Return the ``columns`` of several topics, read in one pass over the file.
 
         Args:
             wanted: fields by topic.
             names: names of the additional numbers to return by topic, by default the subject's.
+            single: fields to return in single precision.
         """
         numbers = {topic: names.get(topic, self.subject.number_names) for topic in wanted}
         readers = {
             topic: BlockReader(fields, FEW_FRAMES, f"{self.path}, {topic}", numbers[topic])
             for topic, fields in wanted.items()
         }
-        grown = {topic: Joiner() for topic in wanted}
+        grown = {topic: Joiner(single) for topic in wanted}
         for item in self._messages(tuple(wanted)):
             topic = item[1].topic
             if (block := readers[topic].add(json_of_estimate(item, numbers[topic]))) is not None:

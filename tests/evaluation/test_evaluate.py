@@ -33,6 +33,7 @@ from posetrack_cli.results import (
     Subject,
     estimate_to_json,
 )
+from support.metrics import SINGLE_MM
 from support.truth import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv, write_result
 
 MS = 1_000_000
@@ -281,7 +282,7 @@ def test_a_head(tmp_path: Path) -> None:
     assert means == pytest.approx(SHIFT)
     assert mean(got, "position_mm") == pytest.approx(7.0)
     assert mean(got, "yaw_deg") == 0.0
-    assert mean(got, "point_error_mm.nose") == pytest.approx(0.0, abs=1e-9)
+    assert mean(got, "point_error_mm.nose") == pytest.approx(0.0, abs=SINGLE_MM)
     assert "joint_error_mm" not in {**got.metrics, **got.absent}
     assert is_complete(got)
 

@@ -35,6 +35,7 @@ from posetrack_cli.evaluation.reading.alignment import (
 )
 from posetrack_cli.evaluation.reading.identities import Identities, Identity, identities
 from posetrack_cli.evaluation.reading.tracks import (
+    SINGLE_FIELDS,
     Coverage,
     Pairs,
     Track,
@@ -163,7 +164,7 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
     true = estimate_truth_topic(result, options.truth, of.truth) if has_truth else None
     fields, names = truth_fields(result.subject)
     wanted = {topic: track_fields(result)} | ({true: fields} if true else {})
-    columns = result.columns_of(wanted, {true: names} if true and names else {})
+    columns = result.columns_of(wanted, {true: names} if true and names else {}, SINGLE_FIELDS)
     track = track_of_columns(columns.pop(topic), result, name or plain_name(path))
     truth = None
     if has_truth:

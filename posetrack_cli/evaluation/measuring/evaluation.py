@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TypeAlias
@@ -53,29 +53,39 @@ def statistics(values: ArrayLike) -> Statistics:
     A NaN among the values makes all statistics NaN. An infinite value makes mean and maximum infinite and
     the standard deviation NaN.
     """
-    flat = np.array(values, dtype=np.float64, order="C").ravel()
-    if not flat.size:
+    return ranked_statistics(np.sort(np.asarray(values, dtype=np.float64), axis=None))
+
+
+def ranked_statistics(ranked: FloatArray) -> Statistics:
+    """Summarise values (N,) in increasing order, NaN last; see ``statistics``."""
+    if not ranked.size:
         nan = float("nan")
         return Statistics(nan, nan, nan, nan, nan, nan, 0)
     with np.errstate(invalid="ignore"):  # inf - inf
-        mean, sd = float(flat.mean()), _deviation(flat)
-    flat.sort()  # NaN goes to the end
-    largest = float(flat[-1])
-    p5, median, p95 = _percentiles_of_ranked(lambda place: float(flat[place]), flat.size, (5.0, 50.0, 95.0))
+        mean, sd = float(ranked.mean()), _deviation(ranked)
+    largest = float(ranked[-1])
+    p5, median, p95 = _percentiles_of_ranked(lambda at: float(ranked[at]), ranked.size, (5.0, 50.0, 95.0))
     if math.isnan(largest):
         p5 = median = p95 = largest
-    return Statistics(mean, sd, median, p95, largest, p5, flat.size)
+    return Statistics(mean, sd, median, p95, largest, p5, ranked.size)
 
 
-def _deviation(flat: FloatArray) -> float:
+def _deviation(ranked: FloatArray) -> float:
     # Scaled first, as the squares of a NEES with almost no variance would overflow.
-    largest = float(np.maximum(flat.max(), -flat.min()))
+    largest = float(np.maximum(ranked[-1], -ranked[0]))
     if not 0.0 < largest < np.inf:
-        return float(flat.std())
-    # ``std`` in place: a copy of the values of a long track is tens of MiB.
-    scaled = flat / largest
-    scaled -= scaled.mean()
-    return largest * math.sqrt(np.square(scaled, out=scaled).mean())
+        return float(ranked.std())
+    middle = sum(float((piece / largest).sum()) for piece in _pieces(ranked)) / ranked.size
+    squares = sum(float(np.square(piece / largest - middle).sum()) for piece in _pieces(ranked))
+    return largest * math.sqrt(squares / ranked.size)
+
+
+PIECE = 2**17
+"""Number of values that are treated at a time; bounds the memory of long recordings."""
+
+
+def _pieces(values: FloatArray) -> Iterator[FloatArray]:
+    return (values[first : first + PIECE] for first in range(0, values.size, PIECE))
 
 
 def _percentiles_of_ranked(
@@ -246,28 +256,30 @@ INFINITE = 2**40
 """Bin index of infinite values, above all others."""
 FEWEST_TO_MERGE = 200_000
 """Number of pending bins that triggers a merge, as a merge costs the same for one set as for a hundred."""
-PIECE = 2**17
-"""Number of values binned at a time; bounds the memory of long recordings."""
 Binned: TypeAlias = tuple[IntArray, IntArray, FloatArray]
 """Bin indices, increasing, and the counts and means of their values."""
 
 
-def distribution(values: FloatArray, summary: Statistics) -> Distribution:
-    """Return the distribution of values of any shape.
+def distribution(ranked: FloatArray, summary: Statistics) -> Distribution:
+    """Return the distribution of values.
 
     Args:
-        values: at least one value.
+        ranked: (N,) values in increasing order, NaN last; at least one.
         summary: statistics of the same values.
     """
-    pieces = [_counted(values.flat[first : first + PIECE]) for first in range(0, values.size, PIECE)]
+    pieces = [_counted(piece) for piece in _pieces(ranked)]
     return Distribution(summary.count, summary.mean, summary.sd, summary.max, *_together(pieces))
 
 
-def _counted(values: FloatArray) -> Binned:
-    """Count the values (N,) in bins; NaN is left out, as it already shows in the mean."""
-    values = values[~np.isnan(values)]
-    used, places, counts = np.unique(_bins(values), return_inverse=True, return_counts=True)
-    return used, counts, np.bincount(places, np.where(np.isfinite(values), values, 0.0), len(used)) / counts
+def _counted(ranked: FloatArray) -> Binned:
+    """Count the values in bins; NaN is left out, as it already shows in the mean."""
+    values = ranked[~np.isnan(ranked)]
+    bins = _bins(values)
+    first = np.flatnonzero(np.diff(bins, prepend=bins[:1] - 1))
+    counts = np.diff(first, append=len(bins))
+    if not first.size:
+        return bins, counts, values
+    return bins[first], counts, np.add.reduceat(np.where(np.isfinite(values), values, 0.0), first) / counts
 
 
 def _together(pieces: Sequence[Binned]) -> Binned:

@@ -14,9 +14,10 @@ from posetrack_cli.evaluation.measuring.measures import (
     Common,
     Matched,
     Measures,
+    absolute_deg,
     common_columns,
     rows_of,
-    shape_columns,
+    shape_difference,
 )
 from posetrack_cli.evaluation.measuring.pose_metrics import (
     NO_VELOCITY,
@@ -145,9 +146,9 @@ def joint_errors(matched: Matched, joints: Common) -> FloatArray:
 def _tracked(measures: Measures, matched: Matched, errors: FloatArray) -> None:
     """Add joint errors over the frames that are not lost; without a status, all frames count as tracked."""
     lost = matched.estimate.lost
-    kept = errors if lost is None else errors[~rows_of(lost, matched.pairs.estimate)]
+    tracked = None if lost is None else ~rows_of(lost, matched.pairs.estimate)
     nothing = "all frames with ground truth are lost" if len(matched) else ""
-    measures.summarise("joint_error_tracked_mm", kept, nothing)
+    measures.summarise("joint_error_tracked_mm", errors, nothing, tracked)
 
 
 def _fingers(measures: Measures, errors: FloatArray, names: tuple[str, ...]) -> None:
@@ -159,7 +160,7 @@ def _fingers(measures: Measures, errors: FloatArray, names: tuple[str, ...]) -> 
     tips = [i for i in of_fingers if names[i].endswith("_tip")]
     for address, own in (("finger_error_mm", of_fingers), ("fingertip_error_mm", tips)):
         if own:
-            measures.add(address, errors[:, own])
+            measures.add(address, rows_of(errors.T, np.array(own)).T)
         else:
             measures.lack(OTHER_JOINTS, address)
     for finger, own in columns.items():
@@ -224,8 +225,8 @@ def _angles(measures: Measures, matched: Matched) -> None:
     if reason := matched.lacks("shape") or missing:
         return measures.lack(reason, "angle_error_deg")
     # No wrap-around: joint limits keep the angles far from a full turn.
-    mine, theirs = shape_columns(matched, "shape", common)
-    measures.add_parts("angle_error_deg", np.degrees(np.abs(mine - theirs)), common.names)
+    errors = absolute_deg(shape_difference(matched, "shape", common))
+    measures.add_parts("angle_error_deg", errors, common.names)
 
 
 # Covariance consistency of joints.
@@ -240,7 +241,7 @@ def _angles(measures: Measures, matched: Matched) -> None:
 
 
 METRICS = {f"joint_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
-BLOCK_FRAMES = 512
+BLOCK_FRAMES = 128
 """Number of frames per block, as the Jacobians of a long track need many times its memory."""
 
 
@@ -288,8 +289,11 @@ def _jacobian(anatomy: HandAnatomy, track: Track, rows: IntArray) -> FloatArray:
 
 def propagated(jacobian: FloatArray, variances: FloatArray) -> FloatArray:
     """Return the variances (n, 21, 3) of joints with derivatives J (n, 21, 3, 21) by pose entries."""
-    found: FloatArray = np.einsum("njck,nk->njc", jacobian**2, variances)
-    return found
+    by_component = jacobian.T  # frames last, as they are in memory
+    found: FloatArray = np.einsum(
+        "kcjn,kcjn,kn->cjn", by_component, by_component, np.ascontiguousarray(variances.T)
+    )
+    return found.T
 
 
 class JointIntervals:
@@ -299,7 +303,6 @@ class JointIntervals:
 
     def __init__(self, matched: Matched, joints: Common) -> None:
         self._matched, self._joints = matched, joints
-        self._variances = matched.of_estimate("pose_variance")
         self._shares = _Shares(METRICS, joints)
 
     @staticmethod
@@ -309,11 +312,10 @@ class JointIntervals:
 
     def add(self, rows: slice, jacobian: FloatArray) -> None:
         """Add a block of frames, with the derivatives J (n, 21, 3, 21) of the joints."""
-        mine, joints = self._matched, self._joints
-        assert mine.truth.points is not None and mine.estimate.points is not None
-        estimated = mine.estimate.points[mine.pairs.estimate[rows]][:, joints.estimate]
-        errors = mine.truth.points[mine.pairs.truth[rows]][:, joints.truth] - estimated
-        variances = propagated(jacobian, self._variances[rows])[:, joints.estimate]
+        part, joints = self._matched.part(rows), self._joints
+        estimated, true = part.of_estimate("points"), part.of_truth("points")
+        errors = true[:, joints.truth] - estimated[:, joints.estimate]
+        variances = propagated(jacobian, part.of_estimate("pose_variance"))[:, joints.estimate]
         self._shares.add(pose_metrics.normalised_squares(errors, variances))
 
     def finish(self, measures: Measures) -> None:
@@ -384,7 +386,6 @@ class JointVelocities:
 
     def __init__(self, matched: Matched, joints: Common) -> None:
         self._matched, self._joints = matched, joints
-        self._twist, self._variances = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
         self._distances = np.empty((len(matched), len(joints.names)))
         self._shares = _Shares(INTERVALS, joints)
         self._is_known = False  # in any frame
@@ -402,13 +403,14 @@ class JointVelocities:
 
     def add(self, rows: slice, jacobian: FloatArray) -> None:
         """Add a block of frames, with the derivatives J (n, 21, 3, 21) of the joints."""
-        mine, joints = self._matched, self._joints
-        true = central_differences(mine.truth, mine.pairs.truth[rows], self._usual_ns)[:, joints.truth]
+        part, joints = self._matched.part(rows), self._joints
+        true = central_differences(part.truth, part.pairs.truth, self._usual_ns)[:, joints.truth]
         self._is_known |= bool(known_frames(true).any())
-        velocity = np.einsum("njck,nk->njc", jacobian, self._twist[rows])
+        twist = np.ascontiguousarray(part.of_estimate("twist").T)
+        velocity = np.einsum("kcjn,kn->cjn", jacobian.T, twist).T
         off = true - velocity[:, joints.estimate]
         self._distances[rows] = np.linalg.norm(off, axis=-1)
-        variances = propagated(jacobian, self._variances[rows])[:, joints.estimate]
+        variances = propagated(jacobian, part.of_estimate("twist_variance"))[:, joints.estimate]
         known = known_frames(self._distances[rows])
         self._shares.add(pose_metrics.normalised_squares(off, variances)[known])
 

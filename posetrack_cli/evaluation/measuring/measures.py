@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.evaluation.measuring.evaluation import Count, Distribution, Value, distribution, statistics
+from posetrack_cli.evaluation.measuring.evaluation import (
+    Count,
+    Distribution,
+    Value,
+    distribution,
+    ranked_statistics,
+)
 from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 
 Better: TypeAlias = Literal["lower", "higher", "neither"]
@@ -76,13 +82,22 @@ class Matched:
     def __len__(self) -> int:
         return len(self.pairs.estimate)
 
-    def of_estimate(self, name: str, *columns: int | slice) -> Any:
+    def of_estimate(self, name: str, *columns: int | slice) -> FloatArray:
         """Return the matched rows (M, ...) of an array of the estimate, or of some of its columns."""
-        return rows_of(getattr(self.estimate, name)[:, *columns], self.pairs.estimate)
+        return _double(rows_of(getattr(self.estimate, name)[:, *columns], self.pairs.estimate))
 
-    def of_truth(self, name: str, *columns: int | slice) -> Any:
+    def of_truth(self, name: str, *columns: int | slice) -> FloatArray:
         """Return the matched rows (M, ...) of an array of the ground truth, or of some of its columns."""
-        return rows_of(getattr(self.truth, name)[:, *columns], self.pairs.truth)
+        return _double(rows_of(getattr(self.truth, name)[:, *columns], self.pairs.truth))
+
+    def blocks(self, frames: int) -> Iterator[Matched]:
+        """Yield parts of at most ``frames`` rows: arrays of a long track need as much memory as itself."""
+        for first in range(0, len(self), frames):
+            yield self.part(slice(first, first + frames))
+
+    def part(self, rows: slice) -> Matched:
+        """Return some of the M rows."""
+        return replace(self, pairs=Pairs(self.pairs.estimate[rows], self.pairs.truth[rows]))
 
     def lacks(self, *names: str) -> str:
         """Return why these arrays cannot be compared; empty if both sides have all of them."""
@@ -104,6 +119,10 @@ _WORDS = {
     "pose_variance": "covariance",
     "twist_variance": "velocity covariance",
 }
+
+
+def _double(array: np.ndarray[Any, Any]) -> FloatArray:
+    return array.astype(np.float64, copy=False)
 
 
 def rows_of(array: Any, rows: IntArray) -> Any:
@@ -144,13 +163,17 @@ def common_columns(estimate: Sequence[str], truth: Sequence[str]) -> Common:
     return Common(names, tuple(mine), tuple(where[name] for name in names), lacking)
 
 
-def shape_columns(
-    matched: Matched, name: str, common: Common, first: int = 0
-) -> tuple[FloatArray, FloatArray]:
-    """Return the common shape entries (M, K) of both sides; they start at column ``first`` of the array."""
-    mine = matched.of_estimate(name, slice(first, None))[:, common.estimate]
-    theirs = matched.of_truth(name, slice(first, None))[:, common.truth]
-    return mine, theirs
+def shape_difference(matched: Matched, name: str, common: Common, first: int = 0) -> FloatArray:
+    """Return true minus estimated common shape entries (M, K), which start at column ``first``."""
+    found: FloatArray = np.empty((len(matched), len(common.names)), order="F")
+    for column, (mine, theirs) in enumerate(zip(common.estimate, common.truth, strict=True)):
+        found[:, column] = matched.of_truth(name, first + theirs) - matched.of_estimate(name, first + mine)
+    return found
+
+
+def absolute_deg(angles: FloatArray) -> FloatArray:
+    """Return |angles| in degrees; changes the array (rad) in place."""
+    return np.degrees(np.abs(angles, out=angles), out=angles)
 
 
 @dataclass
@@ -185,7 +208,7 @@ class Measures:
             values: values of all matched frames; the series is their mean over parts.
             known: (M,) mask of the frames with a value; others are NaN in the series and not summarised.
         """
-        if self.summarise(address, values if known is None else rows_of(values, np.flatnonzero(known))):
+        if self.summarise(address, values, known=known):
             per_frame = values if values.ndim == 1 else values.mean(axis=1)
             self.series[address] = per_frame if known is None else np.where(known, per_frame, np.nan)
 
@@ -199,15 +222,27 @@ class Measures:
         for column, name in enumerate(names):
             self.summarise(f"{address}.{name}", values[:, column])
 
-    def summarise(self, address: str, values: FloatArray, nothing: str = "") -> bool:
-        """Summarise values and return True; record the reason and return False if there are none."""
-        if values.size:
-            summary = self.metrics[address] = statistics(values)
+    def summarise(
+        self, address: str, values: FloatArray, nothing: str = "", known: BoolArray | None = None
+    ) -> bool:
+        """Summarise values and return True; record the reason and return False if there are none.
+
+        Args:
+            address: address of the metric.
+            values: values of any shape.
+            nothing: reason; by default ``nothing`` of the collector.
+            known: mask of the rows to summarise; None for all.
+        """
+        # The only copy of the values, as those of a long track are tens of MiB.
+        ranked = values.flatten(order="K") if known is None else values[known].ravel(order="K")
+        ranked.sort()
+        if ranked.size:
+            summary = self.metrics[address] = ranked_statistics(ranked)
             if "." not in address:  # parts are not pooled, and their distributions would dominate memory
-                self.distributions[address] = distribution(values, summary)
+                self.distributions[address] = distribution(ranked, summary)
         else:
             self.absent[address] = nothing or self.nothing
-        return bool(values.size)
+        return bool(ranked.size)
 
     def share(self, address: str, inside: np.ndarray[Any, Any]) -> None:
         """Add the share of True values; record the reason if there are none."""

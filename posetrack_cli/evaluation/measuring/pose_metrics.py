@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.measuring.measures import (
     Common,
     Matched,
     Measures,
+    absolute_deg,
     common_columns,
-    shape_columns,
+    rows_of,
+    shape_difference,
 )
 from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
@@ -179,11 +181,10 @@ def _angles(measures: Measures, matched: Matched) -> None:
     common = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
     if not common.names:
         return measures.lack("the ground truth has no finger angles", ANGLES_METRIC)
-    mine, theirs = shape_columns(matched, "twist", common, SHAPE)
-    errors = np.degrees(np.abs(mine - theirs))
+    errors = absolute_deg(shape_difference(matched, "twist", common, SHAPE))
     known = _add(measures, ANGLES_METRIC, errors)
     if known.any():
-        measures.summarise_parts(ANGLES_METRIC, errors[known], common.names)
+        measures.summarise_parts(ANGLES_METRIC, rows_of(errors, np.flatnonzero(known)), common.names)
 
 
 def _add(measures: Measures, address: str, errors: FloatArray) -> BoolArray:
@@ -226,6 +227,8 @@ _BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6), ANGLES: slice(6, No
 POSE = ("nees", *INTERVALS)
 VELOCITY = tuple(f"velocity_{name}" for name in POSE)
 NO_SHAPE = Common((), (), (), ())
+BLOCK_FRAMES = 4096
+"""Number of frames whose errors are in memory at a time."""
 
 
 def covariance_metrics(measures: Measures, matched: Matched, parts: Sequence[str]) -> None:
@@ -256,15 +259,31 @@ class _Collected:
     measures: Measures
     parts: Sequence[str]
 
-    def add(self, names: Sequence[str], normalised: FloatArray, known: BoolArray) -> None:
-        """Add NEES and shares inside the intervals from normalised squares (M, D) of the known frames."""
+    def add(self, names: Sequence[str], blocks: Iterator[tuple[FloatArray, FloatArray]]) -> None:
+        """Add NEES and shares inside the intervals from errors and variances (n, D) of consecutive frames."""
         nees, *levels = names
-        self.measures.add(nees, normalised.sum(axis=1), known)
-        for name, half_width in zip(levels, INTERVALS.values(), strict=True):
-            inside = inside_interval(normalised[known], half_width)
-            self.measures.share(name, inside)
-            for part in self.parts:
-                self.measures.share(f"{name}.{part}", inside[:, _columns(part, self.parts)])
+        known: list[BoolArray] = [np.empty(0, dtype=np.bool_)]
+        sums: list[FloatArray] = [np.empty(0)]
+        inside: dict[str, list[IntArray]] = {name: [] for name in levels}
+        for off, variance in blocks:
+            known.append(known_frames(off))
+            normalised = normalised_squares(off, variance)
+            sums.append(normalised.sum(axis=1))
+            for name, half_width in zip(levels, INTERVALS.values(), strict=True):
+                inside[name].append(inside_interval(normalised[known[-1]], half_width).sum(axis=0))
+        of_frames = np.concatenate(known)
+        if len(of_frames) and not of_frames.any():
+            return self.measures.lack(NO_VELOCITY, *names)
+        self.measures.add(nees, np.concatenate(sums), of_frames)
+        for name, counts in inside.items():
+            self._shares(name, np.sum(counts, axis=0), int(of_frames.sum()))
+
+    def _shares(self, name: str, inside: IntArray, frames: int) -> None:
+        """Add the share of a level, overall and by part, from counts (D,) of entries inside."""
+        for part in ("", *self.parts):
+            address = f"{name}.{part}" if part else name
+            of_part = np.atleast_1d(inside)[_columns(part, self.parts) if part else slice(None)]
+            self.measures.add_share(address, int(of_part.sum()), frames * of_part.size)
 
 
 def _pose(collected: _Collected, matched: Matched, shapes: Common, reason: str) -> None:
@@ -272,15 +291,12 @@ def _pose(collected: _Collected, matched: Matched, shapes: Common, reason: str) 
         reason = "the result has no covariance"
     if reason:
         return collected.measures.lack(reason, *POSE)
-    errors = pose_difference(
-        matched.of_estimate("position"),
-        matched.of_estimate("quaternion"),
-        matched.of_truth("position"),
-        matched.of_truth("quaternion"),
-    )
-    errors = np.hstack([errors, _difference(matched, "shape", shapes, 0)])
-    normalised = normalised_squares(errors, _variances(matched, "pose_variance", shapes))
-    collected.add(POSE, normalised, np.ones(len(matched), dtype=np.bool_))
+
+    def errors(part: Matched) -> FloatArray:
+        mine, theirs = ((side("position"), side("quaternion")) for side in (part.of_estimate, part.of_truth))
+        return np.hstack([pose_difference(*mine, *theirs), shape_difference(part, "shape", shapes)])
+
+    collected.add(POSE, _in_blocks(matched, errors, "pose_variance", shapes))
 
 
 def _velocity(collected: _Collected, matched: Matched, shapes: Common, reason: str) -> None:
@@ -289,23 +305,21 @@ def _velocity(collected: _Collected, matched: Matched, shapes: Common, reason: s
     if reason:
         return collected.measures.lack(reason, *VELOCITY)
     rigid = slice(0, SHAPE)
-    mine, theirs = matched.of_estimate("twist", rigid), matched.of_truth("twist", rigid)
-    turns = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
-    errors = twist_difference(mine, theirs, *turns)
-    errors = np.hstack([errors, _difference(matched, "twist", shapes, SHAPE)])
-    known = known_frames(errors)
-    if len(known) and not known.any():
-        return collected.measures.lack(NO_VELOCITY, *VELOCITY)
-    normalised = normalised_squares(errors, _variances(matched, "twist_variance", shapes))
-    collected.add(VELOCITY, normalised, known)
+
+    def errors(part: Matched) -> FloatArray:
+        twists = part.of_estimate("twist", rigid), part.of_truth("twist", rigid)
+        off = twist_difference(*twists, part.of_estimate("quaternion"), part.of_truth("quaternion"))
+        return np.hstack([off, shape_difference(part, "twist", shapes, SHAPE)])
+
+    collected.add(VELOCITY, _in_blocks(matched, errors, "twist_variance", shapes))
 
 
-def _difference(matched: Matched, name: str, shapes: Common, first: int) -> FloatArray:
-    """Return true minus estimated shape entries (M, K), which start at column ``first`` of the array."""
-    if not shapes.names:
-        return np.empty((len(matched), 0))
-    mine, theirs = shape_columns(matched, name, shapes, first)
-    return theirs - mine
+def _in_blocks(
+    matched: Matched, errors: Callable[[Matched], FloatArray], variance: str, shapes: Common
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield errors and stored variances, both (n, D), of consecutive frames."""
+    for part in matched.blocks(BLOCK_FRAMES):
+        yield errors(part), _variances(part, variance, shapes)
 
 
 def _variances(matched: Matched, name: str, shapes: Common) -> FloatArray:

@@ -120,6 +120,8 @@ def _disjoint(places: IntArray, count: int) -> IntArray:
 MOTION_FIELDS = ("stamp_ns", "status", "position", "quaternion", "shape", "twist", "points")
 """Fields of an Estimate that are used as ground truth."""
 _TRACK_FIELDS = tuple(name for name in FIELD_NAMES if name != "pose_rate")  # redundant with twist
+SINGLE_FIELDS = frozenset({"twist", "pose_variance", "twist_variance", "points"})
+"""Fields whose single precision (6e-8) suffices for metrics; they dominate the memory of a long track."""
 
 
 @dataclass(frozen=True, eq=False)

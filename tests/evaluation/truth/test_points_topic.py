@@ -16,6 +16,7 @@ from posetrack_cli.evaluation.reading.truth import load_truth
 from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.reader import read_result
+from support.metrics import SINGLE_MM
 from support.truth import HAND, HEAD, estimates, write_result
 
 FRAMES = 5
@@ -53,7 +54,7 @@ def test_a_result_is_measured_by_them(tmp_path: Path) -> None:
     own = track_of_result(read_result(path), "r").points
     assert own is not None
     expected = np.linalg.norm(own - joints().points, axis=2)
-    assert found.metrics["joint_error_mm"].mean == pytest.approx(expected.mean(), rel=1e-12)
+    assert found.metrics["joint_error_mm"].mean == pytest.approx(expected.mean(), abs=SINGLE_MM)
     assert found.absent["wrist_rotation_deg"] == "the ground truth has no rotation"
     assert found.curve is not None
 
@@ -118,7 +119,7 @@ def test_some_of_the_joints_are_compared_by_name(tmp_path: Path) -> None:
     own = track_of_result(read_result(path), "r").points
     assert own is not None
     expected = np.linalg.norm(own - joints().points, axis=2)[:, chosen]
-    assert evaluate(path).metrics["joint_error_mm"].mean == pytest.approx(expected.mean(), rel=1e-12)
+    assert evaluate(path).metrics["joint_error_mm"].mean == pytest.approx(expected.mean(), abs=SINGLE_MM)
 
 
 def test_a_track_without_points_has_no_messages() -> None:
