@@ -30,6 +30,7 @@ KERNEL_SOURCES = (
     "hand/model/anatomy.py",
     "hand/fit/*.py",
     "hand/observe/observation.py",
+    "lanes.py",
     "rendering/cpu.py",
     "rendering/pixel_model.py",
     "rendering/port.py",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from bisect import insort
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -31,7 +31,7 @@ from posetrack_cli.hand.model.anatomy import (
 from posetrack_cli.hand.model.hand import HandMaker, HandModel, hand_maker, inside_limits
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, best_of
+from posetrack_cli.hand.search import Acquisition, quick_search
 from posetrack_cli.hand.shape_bundle import Bundle, Observe, adjusted
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.phases import Advance, phase
@@ -316,7 +316,7 @@ _ASSUMED_FRAMES = 900  # of a recording of unknown length: half a minute
 ROUNDS, MAX_ROUNDS = 2, 3  # a shape with extreme padding recovers in the third round
 _MIN_FRAMES = 4  # or all of a recording with fewer
 _MAX_COST_RATIO = 1.15  # to the median cost; the hand is misplaced in costlier frames
-_ITERATIONS = 8
+_ITERATIONS = 4
 _MAX_SIZE_RATIO = 1.25  # a shape that changes size by more explains something else
 _BASELINE_PERCENT = 20.0  # percentile of the frames' costs that counts as a good fit
 
@@ -357,6 +357,8 @@ class Calibration:
         begun_scale, begun_mm: scale and length of the start shape.
         covariance: (S, S) of the shape's parameters.
         unit_mm: millimetres per stored unit of depth.
+        unlikeliness: of the shape among people, nats: half its squared distance from the mean, in sd.
+        frame_costs: costs of the last round's hand by frame index, mm, of frames that show it.
     """
 
     side: str
@@ -371,6 +373,8 @@ class Calibration:
     begun_mm: float
     covariance: FloatArray
     unit_mm: float = 1.0
+    unlikeliness: float = 0.0
+    frame_costs: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def length_mm(self) -> float:
@@ -444,6 +448,8 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
         begun_mm,
         found.covariance,
         unit_mm_of(recording.pixels[0]),
+        0.5 * float(np.square(calibrator.space.theta(shape) / calibrator.space.sd).sum()),
+        calibrator.costs_by_index(costs),
     )
 
 
@@ -526,7 +532,7 @@ class _Calibrator:
         return shown
 
     def _finder(self, shape: HandShape) -> Acquisition:
-        return Acquisition(self._config, self.maker(self._side, shape), self._camera)
+        return Acquisition(quick_search(self._config), self.maker(self._side, shape), self._camera)
 
     def find(
         self, shape: HandShape, most: int, round_name: str, known: Mapping[int, FloatArray]
@@ -550,12 +556,20 @@ class _Calibrator:
                 if k in known:
                     found = finder.refit(depth, known[k])
                 else:
-                    found = best_of(finder.candidates_at(depth, self._detections[frames[k].index]))
+                    found = finder.best_at(depth, self._detections[frames[k].index])
                 if found is not None:
                     poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
                     thumbs[k] = found.inner[THUMB]
                 advance(1)
         return poses, thumbs, costs
+
+    def costs_by_index(self, costs: FloatArray) -> dict[int, float]:
+        """Return the finite ones of the costs (F,) of the first frames, by frame index."""
+        return {
+            frame.index: cost
+            for frame, cost in zip(self._frames, costs.tolist(), strict=False)
+            if np.isfinite(cost)
+        }
 
     def chosen(self, costs: FloatArray) -> IntArray:
         """Return the indices of well-fitted frames.

@@ -114,7 +114,7 @@ def _add_point(
     targets: JointTargets, posed: Posed, k: int, width: float, reaches: FloatArray, equations: NormalEquations
 ) -> None:
     """Add the rows of one joint, which moves with the palm and the hinges before it."""
-    at, e, p, row = np.empty(3), np.empty(3), np.empty(3), np.empty(ROW)
+    at, e, p, row = np.empty(3), np.empty(3), np.empty(3), np.zeros(ROW)
     _joint(posed, k, at)
     square = _misfit(targets, k, at, e, p)
     weight = geman_mcclure(square / (width * width))

@@ -270,7 +270,7 @@ def point_row(
         n: row index.
         px, py, pz: the point, camera coordinates, mm.
         dx, dy, dz: unit direction.
-        row: (12,) translation; body rotation; the finger's three angles (0 for the palm), or the forearm's
+        row: (16,) translation; body rotation; the finger's three angles (0 for the palm), or the forearm's
             two swings and log girth; one entry left for the residual; the thumb's two inner angles.
     """
     palm = posed.bones
