@@ -236,8 +236,6 @@ OVERCONFIDENCE = 3.0
 to the forearm, are the same in all frames. Calibrated on synthetic random hands."""
 MIN_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
-OBSERVED_STEPS = 2
-"""Steps before which the hand is cut out anew; later ones move it by a millimetre or two."""
 MAX_SHAPE_STEP, MAX_FRAME_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, FRAME_SIZE - 6])
 _RELAXED_SD = np.append(np.repeat([np.inf, np.inf, 0.6], [3, 3, 15]), [IP_SD, ABDUCTION_SD])
 
@@ -303,12 +301,10 @@ def adjusted(
     while taken < iterations:
         taken += 1
         hand, varied = _hands(maker, space, side, theta)
-        if taken <= OBSERVED_STEPS:
-            tiles = [observe(f, *angles, hand) for f, angles in enumerate(zip(poses, thumbs, strict=True))]
         moves = vertex_moves(poses, thumbs, hand, varied, space.steps)
         frames = [
-            rows.rows(tile, pose, thumb, hand, move)
-            for tile, pose, thumb, move in zip(tiles, poses, thumbs, moves, strict=True)
+            rows.rows(observe(f, pose, thumb, hand), pose, thumb, hand, move)
+            for f, (pose, thumb, move) in enumerate(zip(poses, thumbs, moves, strict=True))
         ]
         residual = _root_mean_square([(frame.residuals, frame.weights) for frame in frames])
         share = (terms.sigma_mm / max(residual, MIN_RESIDUAL_MM)) ** 2 / CORRELATED
