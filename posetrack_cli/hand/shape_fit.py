@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from bisect import insort
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -357,6 +357,8 @@ class Calibration:
         begun_scale, begun_mm: scale and length of the start shape.
         covariance: (S, S) of the shape's parameters.
         unit_mm: millimetres per stored unit of depth.
+        unlikeliness: of the shape among people, nats: half its squared distance from the mean, in sd.
+        frame_costs: costs of the last round's hand by frame index, mm, of frames that show it.
     """
 
     side: str
@@ -371,6 +373,8 @@ class Calibration:
     begun_mm: float
     covariance: FloatArray
     unit_mm: float = 1.0
+    unlikeliness: float = 0.0
+    frame_costs: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def length_mm(self) -> float:
@@ -444,6 +448,8 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
         begun_mm,
         found.covariance,
         unit_mm_of(recording.pixels[0]),
+        0.5 * float(np.square(calibrator.space.theta(shape) / calibrator.space.sd).sum()),
+        calibrator.costs_by_index(costs),
     )
 
 
@@ -556,6 +562,14 @@ class _Calibrator:
                     thumbs[k] = found.inner[THUMB]
                 advance(1)
         return poses, thumbs, costs
+
+    def costs_by_index(self, costs: FloatArray) -> dict[int, float]:
+        """Return the finite ones of the costs (F,) of the first frames, by frame index."""
+        return {
+            frame.index: cost
+            for frame, cost in zip(self._frames, costs.tolist(), strict=False)
+            if np.isfinite(cost)
+        }
 
     def chosen(self, costs: FloatArray) -> IntArray:
         """Return the indices of well-fitted frames.
