@@ -30,6 +30,7 @@ KERNEL_SOURCES = (
     "hand/model/anatomy.py",
     "hand/fit/*.py",
     "hand/observe/observation.py",
+    "lanes.py",
     "rendering/cpu.py",
     "rendering/pixel_model.py",
     "rendering/port.py",
@@ -196,7 +197,7 @@ def announced(
 
     def say() -> None:
         if (count := next(counts)) == 1:
-            report(f"compiling kernels: about 40 s of CPU time, {kept}")
+            report(f"compiling kernels: about 30 s of CPU time, {kept}")
         each(count)
 
     with _listening(say, lambda: None):

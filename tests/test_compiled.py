@@ -165,7 +165,7 @@ print("done")
 
 def test_compiling_is_announced_once_and_not_where_it_is_loaded(tmp_path: Path) -> None:
     cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    said = "compiling kernels: about 40 s of CPU time, cached for later runs"
+    said = "compiling kernels: about 30 s of CPU time, cached for later runs"
     assert answer(SAID, **cache).splitlines() == [said, "done"]
     assert answer(SAID, **cache) == "done"
 
@@ -173,7 +173,7 @@ def test_compiling_is_announced_once_and_not_where_it_is_loaded(tmp_path: Path) 
 def test_where_nothing_can_be_kept_a_run_says_so(tmp_path: Path) -> None:
     (tmp_path / f"posetrack-{os.getuid()}").touch()
     said = answer(SAID, HOME="/dev/null", TMPDIR=str(tmp_path)).splitlines()
-    told = "compiling kernels: about 40 s of CPU time, not cached: no writable cache folder"
+    told = "compiling kernels: about 30 s of CPU time, not cached: no writable cache folder"
     assert said == [told, "done"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, islice, product, takewhile
 
 import numpy as np
@@ -237,7 +238,7 @@ class SideAndScaleSearch:
         self._size_penalty = np.minimum(penalty, _MAX_SIZE_PENALTY_MM)  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
-        self._finders: dict[tuple[int, int, bool], Acquisition] = {}
+        self._finders: dict[tuple[int, int], Acquisition] = {}
 
     def add_frame(self, frame: Frame, advance: Advance = lambda count: None) -> None:
         """Add the costs of a frame, unless it shows no candidate; ``advance`` counts the searches."""
@@ -250,7 +251,7 @@ class SideAndScaleSearch:
         self._add_keypoints(frame)
 
         def cost_of(side: int, k: int, detections: Sequence[Detection]) -> tuple[float, list[Detection]]:
-            finder = self._finder(side, k, quick=k != own or costs.min() <= KNOWN_HAND_MM)
+            finder = self._finder(side, k)
             extra = keypoint_candidates(self._keypoints, self._camera, finder, frame)
             advance(1)
             return finder.appraise(frame.depth, detections, extra, costs.min() + _FAR_WORSE_MM)
@@ -258,15 +259,16 @@ class SideAndScaleSearch:
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
         costs[0, own], likely = cost_of(0, own, detections)
 
-        def appraise(side: int, k: int) -> None:
-            if (side, k) == (0, own):
-                return
-            # detection depends on the palm's size, so far sizes need their own
-            far = self._finder(side, k, quick=True)
-            here = likely if abs(k - own) <= 1 else far.detect(frame.depth, is_sized=True)
-            costs[side, k] = cost_of(side, k, here)[0]
+        @cache
+        def detected(k: int) -> list[Detection]:
+            """Detection depends on the palm's size, so far sizes need their own."""
+            near = abs(k - own) <= 1
+            return likely if near else self._finder(0, k).detect(frame.depth, is_sized=True)
 
-        for side in range(len(self.sides)):
+        def appraise(side: int, k: int) -> None:
+            costs[side, k] = cost_of(side, k, detected(k))[0]
+
+        for side in range(1, len(self.sides)):
             appraise(side, own)
         least = costs[:, own].min()
         possible = [side for side in range(len(self.sides)) if costs[side, own] < least + _HOPELESS_MM]
@@ -369,19 +371,18 @@ class SideAndScaleSearch:
         own = self._config.hand.scale
         return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
-    def _finder(self, side: int, k: int, quick: bool = False) -> Acquisition:
+    def _finder(self, side: int, k: int) -> Acquisition:
         """Return the search for a hand of one side and size.
 
         The thumb is rigid and not expected to rest: with inner angles a hand of another side or size fits as
         well, and the rest prior pulls both thumbs away from the image, which weakens the evidence for the
         side.
         """
-        if (side, k, quick) not in self._finders:
+        if (side, k) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = self._make_hand(self.sides[side], shape)
-            config = self._quick if quick else self._config
-            self._finders[side, k, quick] = Acquisition(config, hand, self._camera, STIFF_THUMB)
-        return self._finders[side, k, quick]
+            self._finders[side, k] = Acquisition(self._quick, hand, self._camera, STIFF_THUMB)
+        return self._finders[side, k]
 
 
 def side_log_odds(cost_mm: float, other_mm: float, most: float = MAX_PER_FRAME) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -279,20 +280,23 @@ def detected_poses(detection: Detection, anatomy: HandAnatomy) -> FloatArray:
 
     The fingers point away from the elbow or, without a visible forearm, in all directions of the image.
     """
-    if detection.arm is not None:
-        turns = _rotations_along(detection.arm, _TILTS)
-    else:
-        ways = np.stack([np.sin(_IN_PLANE), -np.cos(_IN_PLANE), np.zeros(len(_IN_PLANE))], axis=1)
-        turns = [rotation for way in ways for rotation in _rotations_along(way, np.zeros(1))]
+    arm = detection.arm
+    turns = _rotations_in_plane() if arm is None else _rotations_along(arm, _TILTS)
     middle = detection.palm + _SURFACE_MM * detection.palm / np.linalg.norm(detection.palm)
-    return _poses_at(np.array(turns), middle, anatomy)
+    return _poses_at(turns, middle, anatomy)
+
+
+@cache
+def _rotations_in_plane() -> FloatArray:
+    """Return rotations (M, 4) of hands that point in all directions of the image."""
+    ways = np.stack([np.sin(_IN_PLANE), -np.cos(_IN_PLANE), np.zeros(len(_IN_PLANE))], axis=1)
+    return np.concatenate([_rotations_along(way, np.zeros(1)) for way in ways])
 
 
 def turned_poses(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
     """Return poses (H, 22) that look like a given one: turned about its length, open to closed."""
     palm = _palm_of(pose, anatomy)
-    about = [rotations.exponential(np.array([0.0, turn, 0.0])) for turn in _TURNS]
-    turns = np.array([rotations.multiply(pose[3:7], turn) for turn in about])
+    turns = rotations.multiply(pose[3:7], rotations.exponential(_TURNS[:, None] * [0.0, 1.0, 0.0]))
     return np.concatenate(
         [_poses_at(turns, palm, anatomy), _poses_at(turns, palm, anatomy, pose[None, ANGLES])]
     )
@@ -304,16 +308,11 @@ def _palm_of(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
     return palm
 
 
-def _rotations_along(along: FloatArray, tilts: FloatArray) -> list[FloatArray]:
-    """Return rotations of a hand whose forearm points along a unit vector."""
-    arm = _pointing(along)
-    return [
-        rotations.multiply(
-            rotations.multiply(arm, rotations.exponential(np.array([0.0, turn, 0.0]))),
-            rotations.exponential(np.array([tilt, 0.0, 0.0])),
-        )
-        for turn, tilt in product(_TURNS, tilts)
-    ]
+def _rotations_along(along: FloatArray, tilts: FloatArray) -> FloatArray:
+    """Return rotations (M, 4) of a hand whose forearm points along a unit vector."""
+    turned = rotations.multiply(_pointing(along), rotations.exponential(_TURNS[:, None] * [0.0, 1.0, 0.0]))
+    tilted = rotations.multiply(turned[:, None], rotations.exponential(tilts[:, None] * [1.0, 0.0, 0.0]))
+    return tilted.reshape(-1, 4)
 
 
 def _pointing(along: FloatArray) -> FloatArray:
@@ -432,7 +431,11 @@ class Bar(NamedTuple):
     """
 
     cost: float = np.inf
-    total_cost: float = np.inf
+    total_cost: float = -np.inf
+
+    def at(self, penalty_mm: float) -> float:
+        """Return the bar for the cost at a place with a penalty."""
+        return max(self.cost, self.total_cost - penalty_mm)
 
 
 NO_BAR = Bar()
@@ -490,8 +493,12 @@ class Acquisition:
         if around is not None:
             palm = _palm_of(around, self._hand.anatomy)
             detections = [one for one in detections if np.linalg.norm(one.palm - palm) < _HERE_MM]
-        found = [one for _, one in self._fit_places(depth, detections, bar)]
+        found = [one for _, one in self._fit_places(depth, detections, bar, _ALIKE_MM)]
         return best_of(merge_candidates(found, extra))
+
+    def best_at(self, depth: ImageArray, detections: Sequence[Detection]) -> Candidate | None:
+        """Return the best hand at detections in an image (height, width), mm, None if none fits."""
+        return best_of([one for _, one in self._fit_places(depth, detections, beyond_mm=_ALIKE_MM)])
 
     def candidates(self, depth: ImageArray) -> list[Candidate]:
         """Return the hands that fit a whole image (height, width), mm, one per place."""
@@ -518,7 +525,7 @@ class Acquisition:
             extra: further candidates, such as from keypoints.
             below_mm: cost above which a rough one is sufficient.
         """
-        found = self._fit_places(depth, detections, Bar(below_mm))
+        found = self._fit_places(depth, detections, Bar(below_mm), _ALIKE_MM)
         candidates = merge_candidates([one for _, one in found], extra)
         if not candidates:
             return self._config.observation.clamp_mm, list(detections)
@@ -541,24 +548,27 @@ class Acquisition:
         return detections if unit == 1.0 else [detection.enlarged(unit) for detection in detections]
 
     def _fit_places(
-        self, depth: ImageArray, detections: Sequence[Detection], bar: Bar = NO_BAR
+        self,
+        depth: ImageArray,
+        detections: Sequence[Detection],
+        bar: Bar = NO_BAR,
+        beyond_mm: float = np.inf,
     ) -> list[tuple[Detection, Candidate]]:
-        """Fit the detections, without those whose penalty no cost could make up for."""
+        """Fit the detections, the likeliest first, without those whose penalty no cost could make up for.
+
+        Hands that cost ``beyond_mm`` more than the best are only fitted roughly.
+        """
         penalties = [detection_penalty(detection) for detection in detections]
-        least = min(penalties, default=0.0)
-        near = [
-            (d, detection)
-            for d, detection in zip(penalties, detections, strict=True)
-            if d < least + _HOPELESS_MM
-        ]
-        fitted = (
-            (p, detection, self._fit_detection(depth, detection, max(bar.cost, bar.total_cost - p)))
-            for p, detection in near
-        )
-        found = [
-            (p, replace(one, total_cost=one.cost + penalty)) for penalty, p, one in fitted if one is not None
-        ]
-        best = min((one.total_cost for _, one in found), default=0.0)
+        found: list[tuple[Detection, Candidate]] = []
+        best = np.inf
+        for k in np.argsort(penalties, kind="stable"):
+            penalty, detection = penalties[k], detections[k]
+            if penalty >= min(penalties) + _HOPELESS_MM:
+                break
+            one = self._fit_detection(depth, detection, min(bar.at(penalty), best + beyond_mm - penalty))
+            if one is not None:
+                found.append((detection, replace(one, total_cost=one.cost + penalty)))
+                best = min(best, found[-1][1].total_cost)
         return [
             (detection, self._resolve(depth, one, bar) if one.total_cost < best + _CLOSE_MM else one)
             for detection, one in found

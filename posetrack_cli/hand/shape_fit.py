@@ -31,7 +31,7 @@ from posetrack_cli.hand.model.anatomy import (
 from posetrack_cli.hand.model.hand import HandMaker, HandModel, hand_maker, inside_limits
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, best_of
+from posetrack_cli.hand.search import Acquisition, quick_search
 from posetrack_cli.hand.shape_bundle import Bundle, Observe, adjusted
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.phases import Advance, phase
@@ -316,7 +316,7 @@ _ASSUMED_FRAMES = 900  # of a recording of unknown length: half a minute
 ROUNDS, MAX_ROUNDS = 2, 3  # a shape with extreme padding recovers in the third round
 _MIN_FRAMES = 4  # or all of a recording with fewer
 _MAX_COST_RATIO = 1.15  # to the median cost; the hand is misplaced in costlier frames
-_ITERATIONS = 8
+_ITERATIONS = 4
 _MAX_SIZE_RATIO = 1.25  # a shape that changes size by more explains something else
 _BASELINE_PERCENT = 20.0  # percentile of the frames' costs that counts as a good fit
 
@@ -532,7 +532,7 @@ class _Calibrator:
         return shown
 
     def _finder(self, shape: HandShape) -> Acquisition:
-        return Acquisition(self._config, self.maker(self._side, shape), self._camera)
+        return Acquisition(quick_search(self._config), self.maker(self._side, shape), self._camera)
 
     def find(
         self, shape: HandShape, most: int, round_name: str, known: Mapping[int, FloatArray]
@@ -556,7 +556,7 @@ class _Calibrator:
                 if k in known:
                     found = finder.refit(depth, known[k])
                 else:
-                    found = best_of(finder.candidates_at(depth, self._detections[frames[k].index]))
+                    found = finder.best_at(depth, self._detections[frames[k].index])
                 if found is not None:
                     poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
                     thumbs[k] = found.inner[THUMB]

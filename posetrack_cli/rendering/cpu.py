@@ -10,9 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.compiled import borrowing, thread_count
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.lanes import (
+    BLOCK,
+    Lanes,
+    above,
+    add_block,
+    append,
+    append_indices,
+    below,
+    bit_count,
+    emitted,
+    multiply_block,
+    padded,
+)
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import (
     LOGISTIC_OF_NORMAL,
@@ -54,20 +67,20 @@ _INDEX = np.int32(15)
 """Bits of a float32 that hold the index of a neighbour."""
 _MANY = np.int32(2**31 - 1)
 _REACH = range(-REACH_PX, REACH_PX + 1)
-_NEIGHBOURS = tuple(
-    (j + REACH_PX, i + REACH_PX) for j in _REACH for i in _REACH if 0 < i * i + j * j <= REACH_PX * REACH_PX
-)
-_SQUARES = tuple(np.float32((j - REACH_PX) ** 2 + (i - REACH_PX) ** 2) for j, i in _NEIGHBOURS)
-"""Rows and columns of a pixel's neighbours in ``Pixels.depths``, and their squared distances, pixels."""
+_NEIGHBOURS = tuple((j, i) for j in _REACH for i in _REACH if 0 < i * i + j * j <= REACH_PX * REACH_PX)
+_SQUARES = tuple(np.float32(j * j + i * i) for j, i in _NEIGHBOURS)
+"""Rows and columns of neighbours from a pixel, and their squared distances, pixels."""
 ROW = 8
 """Sums per tile, in the order of ``TileSums.from_rows``."""
-_LISTS = 10
+_LISTS = 12
+_ENOUGH = 4096
+"""Number of densities' ratios up to ``_MUCH`` whose products, in 16 lanes, stay in the range of float64."""
 _APART = 48
 """Numbers between lists beyond the pixels: lists at multiples of 4096 bytes would share cache lines."""
 
 
 class Reading(NamedTuple):
-    """Observation that tiles are compared with, in the form used by the kernels.
+    """Observation that tiles are compared with, in the form used by the kernels; images are ``padded``.
 
     Attributes:
         image: (h, w) as ``Comparison.observed``.
@@ -102,22 +115,25 @@ class Pixels(NamedTuple):
     """Buffers for lists of pixels.
 
     Attributes:
-        depths: (h + 2 r, w + 2 r) rendered, with a border of r = ``REACH_PX``; inf where empty.
-        lists: (10, P) depth, reading and ``Reading.before`` of target pixels; four intermediate results;
-            depth, reading and ``Reading.off`` of other pixels.
+        depths: ((h + 2 r) (w + 2 r),) rendered, with a border of r = ``REACH_PX``; inf where empty.
+        lists: (12, P) depth, reading and ``Reading.before`` of covered target pixels; four intermediate
+            results; depth, reading and ``Reading.off`` of other pixels; reading and ``Reading.before`` of
+            target pixels that surfaces next to them may explain.
         near: (12, P) depths of neighbours.
-        places: (2, P) rows and columns.
+        places: (2, P) indices in ``depths`` of the first and the last of these lists.
         bits, floats: (P,) bits of float32, and the same memory as float32.
         keys: (P,) least squares of neighbours, with indices in their last bits.
+        totals: (2, 16) sums and products of lanes.
     """
 
     depths: Float32Array
     lists: Float32Array
     near: Float32Array
-    places: IntArray
+    places: ImageArray
     bits: ImageArray
     floats: Float32Array
     keys: ImageArray
+    totals: FloatArray
 
 
 def mixture_of(model: PixelMixture | None) -> Mixture:
@@ -132,7 +148,8 @@ def reading_of(comparison: Comparison, off: Float32Array, slope: float) -> Readi
     image = comparison.observed
     rate = 0.0 if comparison.model is None else comparison.model.uniforms["occluder_rate"]
     before = np.exp(-rate * np.maximum(image.astype(np.float64), 0.0)).astype(np.float32)
-    return Reading(image, off, before, comparison.clamp_mm, comparison.match_mm, np.float32(slope))
+    images = padded(image), padded(off), padded(before)
+    return Reading(*images, comparison.clamp_mm, comparison.match_mm, np.float32(slope))
 
 
 def empty_pixels(height: int, width: int) -> Pixels:
@@ -140,13 +157,14 @@ def empty_pixels(height: int, width: int) -> Pixels:
     count = height * width + _APART
     bits = np.zeros(count, np.int32)
     return Pixels(
-        np.full((height + 2 * REACH_PX, width + 2 * REACH_PX), np.inf, np.float32),
+        padded(np.full((height + 2 * REACH_PX) * (width + 2 * REACH_PX), np.inf, np.float32)),
         np.zeros((_LISTS, count), np.float32),
         np.zeros((len(_NEIGHBOURS), count), np.float32),
-        np.zeros((2, count), np.int64),
+        np.zeros((2, count), np.int32),
         bits,
         bits.view(np.float32),
         np.zeros(count, np.int32),
+        np.zeros((2, BLOCK)),
     )
 
 
@@ -164,48 +182,68 @@ def _exponentiate(values: Float32Array, bits: ImageArray, floats: Float32Array, 
         values[n] *= floats[n]
 
 
+@emitted
+def _touching(depths: Lanes, at: Lanes, width: Lanes) -> Lanes:
+    """Return bits of the pixels that have a surface next to them."""
+    least = None
+    for j, i in _NEIGHBOURS:
+        one = depths.load(at + width * j + i, BLOCK)
+        least = one if least is None else one.least(least)
+    assert least is not None
+    return (least < float(_NONE)).bits
+
+
 @borrowing
 def _sort(box: tuple[int, int, int, int], reading: Reading, pixels: Pixels) -> tuple[int, int, int]:
     """List the pixels of a tile by what they need; return how many are in the three lists.
 
     Returns:
-        Number of covered target pixels, of uncovered target pixels (whose places come last), and of covered
-        other pixels.
+        Number of covered target pixels, of uncovered target pixels with a surface next to them, and of
+        covered other pixels.
     """
-    (left, top, right, bottom), depths, image = box, pixels.depths, reading.image
-    d, y, before, places = pixels.lists[0], pixels.lists[1], pixels.lists[2], pixels.places
-    other_d, other_y, other_off = pixels.lists[7], pixels.lists[8], pixels.lists[9]
-    both, uncovered, other, last = 0, 0, 0, places.shape[1] - 1
+    (left, top, right, bottom), depths, image, lists = box, pixels.depths, reading.image, pixels.lists
+    both, uncovered, other, width = 0, 0, 0, image.shape[1]
+    bordered = width + 2 * REACH_PX
     for j in range(top, bottom):
-        for i in range(left, right):
-            depth, value = depths[j + REACH_PX, i + REACH_PX], image[j, i]
-            if value > _ZERO:
-                if depth < _NONE:
-                    d[both], y[both], before[both] = depth, value, reading.before[j, i]
-                    places[0, both], places[1, both] = j, i
-                    both += 1
-                else:
-                    places[0, last - uncovered], places[1, last - uncovered] = j, i
-                    uncovered += 1
-            elif depth < _NONE:
-                other_d[other], other_y[other], other_off[other] = depth, value, reading.off[j, i]
-                other += 1
+        for i in range(left, right, BLOCK):
+            at, place, count = j * width + i, (j + REACH_PX) * bordered + i + REACH_PX, right - i
+            target, covered = above(image, at, count, _ZERO), below(depths, place, count, _NONE)
+            if target & covered:
+                append(target & covered, depths, place, lists[0], both)
+                append(target & covered, image, at, lists[1], both)
+                append(target & covered, reading.before, at, lists[2], both)
+                append_indices(target & covered, place, pixels.places[0], both)
+                both += bit_count(target & covered)
+            if covered & ~target:
+                append(covered & ~target, depths, place, lists[7], other)
+                append(covered & ~target, image, at, lists[8], other)
+                append(covered & ~target, reading.off, at, lists[9], other)
+                other += bit_count(covered & ~target)
+            if target & ~covered:
+                near = target & ~covered & _touching(depths, place, bordered)
+                append(near, image, at, lists[10], uncovered)
+                append(near, reading.before, at, lists[11], uncovered)
+                append_indices(near, place, pixels.places[1], uncovered)
+                uncovered += bit_count(near)
     return both, uncovered, other
 
 
 @borrowing
-def _write_ratios(count: int, off: Float32Array, model: Mixture, pixels: Pixels) -> None:
+def _write_ratios(
+    count: int, y: Float32Array, before: Float32Array, off: Float32Array, model: Mixture, pixels: Pixels
+) -> None:
     """Write the ratio of the densities of the best possible reading and of y to list 3.
 
     Its logarithm is the misfit.
 
     Args:
-        count: number of pixels in lists 0 to 2.
+        count: number of pixels, with depths in list 0.
+        y, before: (P,) readings, and ``Reading.before``.
         off: (P,) half the squared distance of surface and pixel in standard deviations of the outline.
         model: of a pixel.
         pixels: buffers; lists 3 to 5 are overwritten.
     """
-    d, y, before = pixels.lists[0], pixels.lists[1], pixels.lists[2]
+    d = pixels.lists[0]
     here, behind, front = pixels.lists[3], pixels.lists[4], pixels.lists[5]
     near_sd, growth, rate = model.near_sd, model.sd_growth, model.occluder_rate
     for n in range(count):
@@ -227,32 +265,53 @@ def _write_ratios(count: int, off: Float32Array, model: Mixture, pixels: Pixels)
 
 
 @borrowing
-def _add_targets(both: int, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray) -> int:
-    """Add the sums over covered target pixels; return the number of misfits, and list those first.
+def _log_product(factors: FloatArray) -> float:
+    """Return the logarithm of a product, and set the factors to 1."""
+    total, product = 0.0, 1.0
+    for k in range(len(factors)):
+        product *= factors[k]
+        factors[k] = 1.0
+        if product > _LARGE:
+            total, product = total + np.log(product), 1.0
+    return float(total + np.log(product))
+
+
+@borrowing
+def _add_targets(
+    both: int, uncovered: int, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray
+) -> int:
+    """Add the sums over covered target pixels; return the number of misfits, and append those to list 10.
 
     Those misfits are above ``NEIGHBOUR_MISFIT`` and not added.
     """
-    d, y, before, places = pixels.lists[0], pixels.lists[1], pixels.lists[2], pixels.places
-    ratios, apart, off = pixels.lists[3], pixels.lists[4], pixels.lists[6]
-    off[:both] = _ZERO
-    _write_ratios(both, off, model, pixels)
+    lists, totals, products = pixels.lists, pixels.totals[0], pixels.totals[1]
+    d, y, before, ratios, apart, own = lists[0], lists[1], lists[2], lists[3], lists[4], lists[6]
+    own[:both] = _ZERO
+    _write_ratios(both, y, before, own, model, pixels)
+    match, clamp = np.float32(reading.match_mm), np.float32(reading.clamp_mm)
     for n in range(both):
         apart[n] = abs(d[n] - y[n])
-    error, matched, misfit, product, far = 0.0, 0, 0.0, 1.0, 0
+    totals[:], products[:], matched, misfit, last = 0.0, 1.0, 0, 0.0, uncovered
+    for n in range(0, both, BLOCK):
+        matched += bit_count(below(apart, n, both - n, match))
+        far = above(ratios, n, both - n, _MUCH)
+        if far:
+            append(far, y, n, lists[10], last)
+            append(far, before, n, lists[11], last)
+            append(far, ratios, n, own, last - uncovered)
+            append(far, pixels.places[0], n, pixels.places[1], last)
+            last += bit_count(far)
     for n in range(both):
-        error += min(apart[n], reading.clamp_mm)
-        matched += apart[n] < reading.match_mm
-        if ratios[n] > _MUCH:
-            y[far], before[far], off[far] = y[n], before[n], ratios[n]
-            places[0, far], places[1, far] = places[0, n], places[1, n]
-            far += 1
-            continue
-        product *= ratios[n]
-        if product > _LARGE:
-            misfit, product = misfit + np.log(product), 1.0
-    row[0], row[1], row[6] = error, both, matched
-    row[4] += misfit + np.log(product)
-    return far
+        ratios[n] = ratios[n] if ratios[n] <= _MUCH else _ONE
+        apart[n] = min(apart[n], clamp)
+    for n in range(0, both, BLOCK):
+        add_block(apart, n, both - n, totals)
+        multiply_block(ratios, n, both - n, products)
+        if n % _ENOUGH == 0:
+            misfit += _log_product(products)
+    row[0], row[1], row[6] = np.sum(totals), both, matched
+    row[4] += misfit + _log_product(products)
+    return last - uncovered
 
 
 @borrowing
@@ -261,12 +320,13 @@ def _find_surfaces(count: int, reading: Reading, model: Mixture, pixels: Pixels)
 
     List 5 gets half its squared distance, in standard deviations of the outline; ``_NONE`` without a surface.
     """
-    y, places, near, depths = pixels.lists[1], pixels.places, pixels.near, pixels.depths
+    y, places, near, depths = pixels.lists[10], pixels.places[1], pixels.near, pixels.depths
     d, precision, outline, off = pixels.lists[0], pixels.lists[3], pixels.lists[4], pixels.lists[5]
-    for n in range(count):
-        j, i = places[0, n], places[1, n]
-        for k in range(len(_NEIGHBOURS)):
-            near[k, n] = depths[j + _NEIGHBOURS[k][0], i + _NEIGHBOURS[k][1]]
+    width = reading.image.shape[1] + 2 * REACH_PX
+    for k in range(len(_NEIGHBOURS)):
+        across = _NEIGHBOURS[k][0] * width + _NEIGHBOURS[k][1]
+        for n in range(count):
+            near[k, n] = depths[places[n] + across]
     near_sd, growth, scale = model.near_sd, model.sd_growth, reading.slope / model.outline_sd
     keys, bits, squares = pixels.keys, pixels.bits, pixels.floats
     keys[:count] = _MANY
@@ -292,30 +352,26 @@ def _find_surfaces(count: int, reading: Reading, model: Mixture, pixels: Pixels)
 def _add_neighbours(
     far: int, uncovered: int, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray
 ) -> None:
-    """Add the misfits of ``far`` covered target pixels, and the relief of uncovered ones."""
-    y, before, places, off = pixels.lists[1], pixels.lists[2], pixels.places, pixels.lists[6]
-    count, last = far + uncovered, places.shape[1] - 1
-    for n in range(far, count):
-        j, i = places[0, last - n + far], places[1, last - n + far]
-        y[n], before[n], off[n] = reading.image[j, i], reading.before[j, i], _ZERO
-        places[0, n], places[1, n] = j, i
+    """Add the relief of uncovered target pixels, then the misfits of ``far`` covered ones."""
+    y, before, ratios, relief = pixels.lists[10], pixels.lists[11], pixels.lists[3], pixels.lists[4]
+    own, off, count = pixels.lists[6], pixels.near[0], uncovered + far
     _find_surfaces(count, reading, model, pixels)
-    own, ratios, relief = pixels.near[0], pixels.lists[3], pixels.lists[4]
     for n in range(count):
-        own[n], off[n] = off[n], pixels.lists[5][n]
-    _write_ratios(count, off, model, pixels)
+        off[n] = pixels.lists[5][n]
+    _write_ratios(count, y, before, off, model, pixels)
     near_sd, growth, outlier_per_sd = model.near_sd, model.sd_growth, model.outlier_per_sd
-    for n in range(far, count):
+    for n in range(uncovered):
         relief[n] = (_ONE + _ONE / (outlier_per_sd * (near_sd + growth * y[n] * y[n]))) / ratios[n]
     misfit, product = 0.0, 1.0
-    for n in range(far):
-        product *= float(min(own[n], ratios[n]) if off[n] < _NONE else own[n])
+    for n in range(uncovered, count):
+        own_ratio = own[n - uncovered]
+        product *= float(min(own_ratio, ratios[n]) if off[n] < _NONE else own_ratio)
         if product > _LARGE:
             misfit, product = misfit + np.log(product), 1.0
     row[4] += misfit + np.log(product)
     misfit, product = 0.0, 1.0
-    for n in range(far, count):
-        product *= float(max(_ONE, relief[n]) if off[n] < _NONE else _ONE)
+    for n in range(uncovered):
+        product *= float(max(_ONE, relief[n]))
         if product > _LARGE:
             misfit, product = misfit + np.log(product), 1.0
     row[7] = misfit + np.log(product)
@@ -353,12 +409,24 @@ def _add_others(count: int, reading: Reading, model: Mixture, pixels: Pixels, ro
     row[4] += misfit - np.log(product) + model.unread_weight * (unread_misfit - np.log(of_unread))
 
 
+@emitted
+def _write_depths(inverses: Lanes, at: Lanes, count: Lanes, depths: Lanes, place: Lanes) -> None:
+    """Write the depths of a block of pixels; inf where empty."""
+    before = depths.load(place, BLOCK)
+    inverse = inverses.load(at, BLOCK)
+    within = count.constant(0).counted(BLOCK) < count
+    depths.store(place, (1.0 / inverse).converted("float").where(within, before))
+
+
 @borrowing
-def _fill_depths(inverses: FloatArray, depths: Float32Array) -> None:
-    """Write a tile's depths, inf where empty, into the interior of a bordered image."""
-    for j in range(inverses.shape[0]):
-        for i in range(inverses.shape[1]):
-            depths[j + REACH_PX, i + REACH_PX] = np.float32(1.0 / inverses[j, i])
+def _fill_depths(box: tuple[int, int, int, int], inverses: FloatArray, depths: Float32Array) -> None:
+    """Write a tile's depths, inf where empty, in and around a box into the interior of a bordered image."""
+    height, width = inverses.shape
+    left, right = max(0, box[0] - REACH_PX), min(width, box[2] + REACH_PX)
+    for j in range(max(0, box[1] - REACH_PX), min(height, box[3] + REACH_PX)):
+        for i in range(left, right, BLOCK):
+            place = (j + REACH_PX) * (width + 2 * REACH_PX) + i + REACH_PX
+            _write_depths(inverses, j * width + i, right - i, depths, place)
 
 
 @borrowing
@@ -417,10 +485,10 @@ def add_sums(drawing: Drawing, reading: Reading, model: Mixture, pixels: Pixels,
     if not model.enabled:
         _add_counts(drawing, box, reading, row)
         return
-    _fill_depths(drawing.inverse, pixels.depths)
+    _fill_depths(box, drawing.inverse, pixels.depths)
     both, uncovered, other = _sort(box, reading, pixels)
     _add_others(other, reading, model, pixels, row)
-    far = _add_targets(both, reading, model, pixels, row)
+    far = _add_targets(both, uncovered, reading, model, pixels, row)
     _add_neighbours(far, uncovered, reading, model, pixels, row)
 
 

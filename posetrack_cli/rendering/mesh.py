@@ -117,10 +117,11 @@ def loop_limit_matrix(triangles: IntArray, count: int) -> FloatArray:
 
     v_limit = (1 - n w) v + w sum of neighbours, w = 1 / (3 / (8 beta) + n) (Loop 1987).
     """
-    neighbours = _adjacency(triangles, count)
-    valence = neighbours.sum(axis=1)
+    matrix = _adjacency(triangles, count)
+    valence = matrix.sum(axis=1)
     w = 1.0 / (0.375 / _loop_beta(valence) + valence)
-    matrix: FloatArray = np.diag(1.0 - valence * w) + w[:, None] * neighbours
+    matrix *= w[:, None]
+    np.fill_diagonal(matrix, 1.0 - valence * w)
     return matrix
 
 

@@ -12,10 +12,13 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import borrowing, inlined
+from posetrack_cli.lanes import Lanes, emitted, padded
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 NEAR_MM = 50.0
 NOTHING = -1  # triangle index of an empty pixel
+_ROW = 8
+"""Pixels of a row that are computed at once; few triangles are wider."""
 
 
 class RestMesh(NamedTuple):
@@ -53,6 +56,7 @@ class Drawing(NamedTuple):
         triangle: (h, w) nearest triangle, or NOTHING.
         normals: (T, 3) unit normals of the triangles that face the camera, towards it.
         facing: (V,) whether a vertex belongs to a triangle that faces the camera.
+        columns: (B + 1, 4, 4) buffer: columns of the bones, and one point.
     """
 
     vertices: FloatArray
@@ -61,6 +65,7 @@ class Drawing(NamedTuple):
     triangle: IntArray
     normals: FloatArray
     facing: BoolArray
+    columns: FloatArray
 
 
 def rest_mesh(mesh: SkinnedMesh) -> RestMesh:
@@ -81,27 +86,49 @@ def empty_drawing(mesh: RestMesh, height: int, width: int) -> Drawing:
     return Drawing(
         np.zeros((count, 3)),
         np.zeros((count, 3)),
-        np.zeros((height, width)),
-        np.full((height, width), NOTHING, dtype=np.int64),
+        padded(np.zeros((height, width))),
+        padded(np.full((height, width), NOTHING, dtype=np.int64)),
         np.zeros((len(mesh.triangles), 3)),
         np.zeros(count, dtype=np.bool_),
+        padded(np.zeros((int(mesh.bones.max()) + 2, 4, 4))),
     )
+
+
+@emitted
+def _move_point(columns: Lanes, bone: Lanes, to: Lanes, x: Lanes, y: Lanes, z: Lanes, weight: Lanes) -> None:
+    """Write a point moved by a bone, times a weight, to a block of the bones' columns."""
+    columns.store(to * 16, _moved(columns, bone * 16, x, y, z) * weight)
+
+
+@emitted
+def _add_moved(columns: Lanes, bone: Lanes, to: Lanes, x: Lanes, y: Lanes, z: Lanes, weight: Lanes) -> None:
+    """Add a point moved by a bone, times a weight."""
+    moved = _moved(columns, bone * 16, x, y, z) * weight
+    columns.store(to * 16, columns.load(to * 16, 4) + moved)
+
+
+def _moved(columns: Lanes, at: Lanes, x: Lanes, y: Lanes, z: Lanes) -> Lanes:
+    a, b, c, d = (columns.load(at + 4 * k, 4) for k in range(4))
+    return a * x + b * y + c * z + d
 
 
 @borrowing
 def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Pose and project the vertices; return False if one is too near."""
-    vertices, indices, weights = mesh.vertices, mesh.bones, mesh.weights
+    vertices, indices, weights, columns = mesh.vertices, mesh.bones, mesh.weights, out.columns
+    last = len(columns) - 1
+    for b in range(last):
+        for i in range(3):
+            for j in range(4):
+                columns[b, j, i] = bones[b, i, j]
     for v in range(len(vertices)):
         x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        px, py, pz = 0.0, 0.0, 0.0
-        for k in range(weights.shape[1]):
-            w, b = weights[v, k], indices[v, k]
-            if w == 0.0:
+        _move_point(columns, indices[v, 0], last, x, y, z, weights[v, 0])
+        for k in range(1, weights.shape[1]):
+            if weights[v, k] == 0.0:
                 break
-            px += w * (bones[b, 0, 0] * x + bones[b, 0, 1] * y + bones[b, 0, 2] * z + bones[b, 0, 3])
-            py += w * (bones[b, 1, 0] * x + bones[b, 1, 1] * y + bones[b, 1, 2] * z + bones[b, 1, 3])
-            pz += w * (bones[b, 2, 0] * x + bones[b, 2, 1] * y + bones[b, 2, 2] * z + bones[b, 2, 3])
+            _add_moved(columns, indices[v, k], last, x, y, z, weights[v, k])
+        px, py, pz = columns[last, 0, 0], columns[last, 0, 1], columns[last, 0, 2]
         if not pz >= NEAR_MM:  # also true for NaN
             return False
         out.vertices[v, 0], out.vertices[v, 1], out.vertices[v, 2] = px, py, pz
@@ -112,15 +139,54 @@ def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     return True
 
 
+@emitted
+def _raise_row(
+    inverses: Lanes,
+    at: Lanes,
+    first: Lanes,
+    last: Lanes,
+    y: Lanes,
+    ax: Lanes,
+    az: Lanes,
+    bx: Lanes,
+    by: Lanes,
+    cx: Lanes,
+    cy: Lanes,
+    uz: Lanes,
+    vz: Lanes,
+) -> Lanes:
+    """Write 1 / z of a triangle where it is nearer, to pixels from column ``first`` on; return bits of these.
+
+    Args:
+        inverses, at: image, and index of the first pixel.
+        first, last: columns.
+        y: of the row, from vertex a.
+        ax, az: column and 1 / z of vertex a.
+        bx, by, cx, cy: derivatives of the barycentric coordinates of b and c.
+        uz, vz: 1 / z of b and c beyond that of a.
+    """
+    column = first.converted("double").counted(_ROW)
+    x = column + 0.5 - ax
+    beta, gamma = bx * x + by * y, cx * x + cy * y
+    inside = (1.0 - (beta + gamma)).least(beta.least(gamma))
+    inverse, before = az + beta * uz + gamma * vz, inverses.load(at, _ROW)
+    nearer = (inside >= 0.0) & (column <= last.converted("double")) & (inverse > before)
+    inverses.store(at, inverse.where(nearer, before))
+    return nearer.bits
+
+
+@emitted
+def _write_row(triangles: Lanes, at: Lanes, nearer: Lanes, triangle: Lanes) -> None:
+    """Write a triangle's index to the pixels of a row whose bits are set."""
+    before = triangles.load(at, _ROW)
+    triangles.store(at, (before.constant(0) + triangle).where(nearer.unpacked(_ROW), before))
+
+
 @inlined
 def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float, with_faces: bool) -> None:
-    """Rasterise one front-facing triangle a, b, c; 1 / z is linear in the image.
-
-    The inner loop is free of branches, since half of the pixels around a small triangle are outside and
-    mispredictions would dominate; min and max select instead.
-    """
+    """Rasterise one front-facing triangle a, b, c; 1 / z is linear in the image."""
     height, width = out.inverse.shape
-    screen, inverses, triangles = out.screen, out.inverse, out.triangle
+    screen = out.screen
     ax, ay, az = screen[a, 0], screen[a, 1], screen[a, 2]
     ux, uy, uz = screen[b, 0] - ax, screen[b, 1] - ay, screen[b, 2] - az
     vx, vy, vz = screen[c, 0] - ax, screen[c, 1] - ay, screen[c, 2] - az
@@ -128,21 +194,14 @@ def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float, with_faces:
     right = min(width - 1, int(np.floor(ax + max(0.0, ux, vx) - 0.5)))
     top = max(0, int(np.ceil(ay + min(0.0, uy, vy) - 0.5)))
     bottom = min(height - 1, int(np.floor(ay + max(0.0, uy, vy) - 0.5)))
-    if left > right or top > bottom:
-        return
     share = 1.0 / area  # barycentric coordinates of b and c are linear in x and y
     bx, by, cx, cy = vy * share, -vx * share, -uy * share, ux * share
-    for j in range(top, bottom + 1):
-        y = j + 0.5 - ay
-        for i in range(left, right + 1):
-            x = i + 0.5 - ax
-            beta, gamma = bx * x + by * y, cx * x + cy * y
-            inside = min(1.0 - (beta + gamma), min(beta, gamma))
-            inverse = az + beta * uz + gamma * vz if inside >= 0.0 else 0.0
-            before = inverses[j, i]
-            inverses[j, i] = max(before, inverse)
-            if with_faces:  # triangles come in index order, so max() keeps the latest
-                triangles[j, i] = max(triangles[j, i], t if inverse > before else NOTHING)
+    for i in range(left, right + 1, _ROW):
+        for j in range(top, bottom + 1):
+            at, y = j * width + i, j + 0.5 - ay
+            nearer = _raise_row(out.inverse, at, i, right, y, ax, az, bx, by, cx, cy, uz, vz)
+            if with_faces:
+                _write_row(out.triangle, at, nearer, t)
 
 
 @inlined

@@ -176,7 +176,7 @@ def test_a_run_that_compiles_says_once_why_it_waits(
     monkeypatch.setattr(HandTracker, "step", compiling)
     assert track(recording, tmp_path / "r.mcap", "--end", "3") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "compiling" in line]
-    assert said == ["compiling kernels: about 40 s of CPU time, cached for later runs ..."]
+    assert said == ["compiling kernels: about 30 s of CPU time, cached for later runs ..."]
 
 
 def test_tracks_the_hand(recording: Path, told: list[str], tmp_path: Path) -> None:

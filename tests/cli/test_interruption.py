@@ -82,7 +82,7 @@ def interrupted(kind: str, out: Path, number: signal.Signals = signal.SIGTERM) -
         said = process.stderr.read()
     assert process.returncode == EXIT_INTERRUPTED, said
     assert time.monotonic() - began < LATEST_S
-    return said.removeprefix("compiling kernels: about 40 s of CPU time, cached for later runs ...\n")
+    return said.removeprefix("compiling kernels: about 30 s of CPU time, cached for later runs ...\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -312,7 +312,7 @@ def test_ctrl_c_leaves_a_clean_terminal(where: str) -> None:
     assert last == "posetrack: interrupted"
     note = "tracking" if where == "python" else "compiling kernel 1"
     assert re.fullmatch(rf"hand:  50%\|.*\| 2/4 \[.*, {note}\]\^C", shown), shown
-    told = ["waiting", "compiling kernels: about 40 s of CPU time, cached for later runs ..."]
+    told = ["waiting", "compiling kernels: about 30 s of CPU time, cached for later runs ..."]
     assert above == told[: 1 if where == "python" else 2]
 
 

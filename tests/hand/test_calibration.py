@@ -217,7 +217,7 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     views = Views(device, hand, poses, true_thumbs)
     begun, thumbs = started(poses, seed=1), np.zeros((9, 2))
     found = shape_bundle.adjusted(
-        average_hand, SPACE, "right", HandShape(), begun, thumbs, views, TILE, iterations=30
+        average_hand, SPACE, "right", HandShape(), begun, thumbs, views, TILE, iterations=20
     )
     numbers = measured(average_hand, SPACE, "right", found.shape, found.covariance)
     average, true, got = (

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posetrack_cli.lanes import padded
 from posetrack_cli.rendering import cpu
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
 from posetrack_cli.rendering.port import Comparison
@@ -32,7 +33,9 @@ def drawing_of(depth: np.ndarray) -> Drawing:
     corners = np.array([[0.0, 0.0, 1.0], [width, height, 1.0]])
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=depth > 0)
     nothing = np.zeros(depth.shape, np.int64)
-    return Drawing(corners, corners, inverse, nothing, corners, np.zeros(2, np.bool_))
+    return Drawing(
+        corners, corners, padded(inverse), nothing, corners, np.zeros(2, np.bool_), np.zeros((1, 4, 4))
+    )
 
 
 def summed(depth: np.ndarray, image: np.ndarray, model: PixelMixture | None) -> np.ndarray:

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Protocol, TypeAlias
 
@@ -68,10 +68,20 @@ class DepthRange:
 def false_colour(depth: Float32Array, depths: DepthRange) -> ImageArray:
     """Return depth (h, w), mm, in false colour (h, w, 3): near is red, far is blue, no reading is black."""
     gain = (255.0 - _BLUEST) / (depths.far - depths.near)
-    value = np.clip(_BLUEST + (depths.far - depth) * gain, _BLUEST, 255.0).astype(np.uint8)
-    picture: ImageArray = cv2.applyColorMap(value, cv2.COLORMAP_TURBO)
-    picture[depth <= 0] = 0
+    value = (depths.far - depth) * gain
+    value += _BLUEST
+    shade = np.clip(value, _BLUEST, 255.0, out=value).astype(np.uint8)
+    shade *= depth > 0
+    picture: ImageArray = cv2.applyColorMap(shade, _colours())
     return picture
+
+
+@cache
+def _colours() -> ImageArray:
+    """Return the colour map (256, 1, 3), with black for 0."""
+    colours: ImageArray = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_TURBO)
+    colours[0] = 0
+    return colours
 
 
 def lit(depth: Float32Array, mm_per_pixel: float) -> FloatArray:

@@ -38,8 +38,12 @@ OUTPUTS = "FILE.mp4, FILE.png, FILE.mcap or a folder"
 CODEC: Final = "libx264"
 PIXELS = "yuv420p"
 """H.264 with 4:2:0 chroma subsampling, the format that browsers and phones support."""
-CODEC_OPTIONS = {"preset": "superfast", "crf": "20", "x264-params": "mbtree=1:rc-lookahead=10"}
-"""Quality of ``veryfast`` in two thirds of its time; without mbtree, files would be 75 % larger."""
+CODEC_OPTIONS = {
+    "preset": "ultrafast",
+    "crf": "20",
+    "x264-params": "cabac=1:aq-mode=1:scenecut=40:mbtree=1:rc-lookahead=10",
+}
+"""70 % of the time of ``superfast``; the additional parameters halve the size of ``ultrafast`` files."""
 INDEX_FIRST = {"movflags": "+faststart"}
 """Index at the start of the file, so that playback starts before the file is fully loaded."""
 BT709 = 1

@@ -22,9 +22,7 @@ from posetrack_cli.hand.fit.gauss_newton import (
     ThumbPrior,
     Workspace,
     align_each,
-    assess,
     descend_each,
-    empty_fit,
     empty_fits,
     make_workspace,
     swap_fingers_each,
@@ -224,7 +222,7 @@ class HandFitter:
     def objectives(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior = FLAT_PRIOR) -> FloatArray:
         """Return the objectives (N,), mm, of fits: costs plus prior and anatomical potential.
 
-        As in ``gauss_newton.descend``, but with one prior and the tile's inner numbers for all.
+        As in ``gauss_newton.descend_each``, but with one prior and the tile's inner numbers for all.
 
         Args:
             tile: the observation.
@@ -279,9 +277,7 @@ class HandFitter:
 
     def assessed(self, tile: Tile, pose: FloatArray) -> Fit:
         """Return the fit of a pose without a step."""
-        fit = empty_fit()
-        assess(self.hand, tile, pose, self._terms, self._free[0], fit)
-        return fit
+        return self.descend(tile, pose[None], [FLAT_PRIOR], 0)[0]
 
     def anatomy(self, fit: Fit) -> NormalEquations:
         """Return gradient and information of exp(-U) at a fit, with U the anatomical potential."""

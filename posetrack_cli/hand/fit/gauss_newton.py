@@ -95,10 +95,13 @@ class Workspace(NamedTuple):
     spheres: FloatArray
     data: NormalEquations
     whole: NormalEquations
+    pose: FloatArray
+    inner: FloatArray
+    step: FloatArray
 
 
 class Fit(NamedTuple):
-    """Best pose of a descent; written by ``descend``.
+    """Best pose of a descent; written by ``descend_each``.
 
     Attributes:
         pose: (22,).
@@ -122,6 +125,9 @@ def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
         np.zeros((5, SPHERES, 3)),
         empty_equations(),
         empty_equations(),
+        np.zeros(POSE_SIZE),
+        np.zeros(INNER_SIZE),
+        np.zeros(UNKNOWNS),
     )
 
 
@@ -294,69 +300,6 @@ def _add_prior_terms(
     return potential
 
 
-@kernel
-def descend(
-    hand: Hand,
-    tile: Tile,
-    start: FloatArray,
-    mean: FloatArray,
-    precision: FloatArray,
-    terms: Terms,
-    most: Steps,
-    iterations: int,
-    workspace: Workspace,
-    out: Fit,
-) -> None:
-    """Descend from a start pose and keep the best pose.
-
-    The objective is that of the steps, D + u (U + e^T P e / 2), with D the union cost, U the anatomical
-    potential, e the pose's difference from the prior's mean, P its precision and u the tile's ``mm_per_nat``.
-    D alone would select the pose that happens to fit the noise: a hidden finger could be anywhere for a tenth
-    of a millimetre.
-
-    Args:
-        hand: the model.
-        tile: the observation.
-        start: (22,).
-        mean, precision: (22,), (21,) prior of the pose, in the tangent space.
-        terms, most: weights, step limits.
-        iterations: Gauss-Newton steps; one more pose is rendered.
-        workspace: overwritten.
-        out: the fit. Its cost is c_max if the hand cannot be rendered.
-    """
-    pose, inner, delta = start.copy(), tile.inner.copy(), np.empty(UNKNOWNS)
-    _keep(pose, inner, workspace.data, np.inf, out)
-    least = np.inf
-    for k in range(iterations + 1):
-        pose_bones(hand.skeleton, pose, inner, workspace.posed)
-        clear(workspace.data)
-        cost = terms.clamp_mm
-        if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
-            widening = WIDENING ** (iterations - k)
-            cost = add_terms(
-                tile,
-                workspace.posed,
-                hand.skin,
-                workspace.drawing,
-                terms,
-                widening,
-                STRIDE_FROM_AFAR if k < iterations - LAST_STEPS else 1,
-                workspace.buffers,
-                workspace.data,
-            )
-            gather(workspace.data)
-        copy(workspace.data, workspace.whole)
-        objective = cost + tile.mm_per_nat * _add_prior_terms(hand, pose, mean, precision, workspace, delta)
-        if objective < least:
-            least = objective
-            _keep(pose, inner, workspace.data, cost, out)
-        if k < iterations:
-            add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, workspace.whole)
-            solve_positive(workspace.whole.matrix, workspace.whole.vector, delta)
-            step_pose(pose, delta, most)
-            _move_inner(inner, delta, workspace.posed, most)
-
-
 @borrowing
 def descend_each(
     hand: Hand,
@@ -372,10 +315,79 @@ def descend_each(
     workspace: Workspace,
     out: Fit,
 ) -> None:
-    """Descend from every ``stride``-th of starts (K, 22) with priors (K, 22), (K, 21), and write K fits."""
-    for k in range(first, len(starts), stride):
-        fit, mean, precision = _fit_at(out, k), means[k], precisions[k]
-        descend(hand, tile, starts[k], mean, precision, terms, most, iterations, workspace, fit)
+    """Descend from every ``stride``-th start pose, and keep the best pose of each.
+
+    The objective is that of the steps, D + u (U + e^T P e / 2), with D the union cost, U the anatomical
+    potential, e the pose's difference from the prior's mean, P its precision and u the tile's ``mm_per_nat``.
+    D alone would select the pose that happens to fit the noise: a hidden finger could be anywhere for a tenth
+    of a millimetre.
+
+    Args:
+        hand: the model.
+        tile: the observation.
+        starts: (K, 22).
+        means, precisions: (K, 22), (K, 21) prior of each pose, in the tangent space.
+        first, stride: which starts.
+        terms, most: weights, step limits.
+        iterations: Gauss-Newton steps; one more pose is rendered.
+        workspace: overwritten.
+        out: K fits. Their cost is c_max if the hand cannot be rendered.
+    """
+    pose, inner, delta = workspace.pose, workspace.inner, workspace.step
+    for n in range(first, len(starts), stride):
+        for i in range(POSE_SIZE):  # element by element: assigning slices takes seconds to compile
+            pose[i] = starts[n, i]
+        for i in range(INNER_SIZE):
+            inner[i] = tile.inner[i]
+        fit, least = _fit_at(out, n), np.inf
+        _keep(pose, inner, workspace.data, np.inf, fit)
+        for k in range(iterations + 1):
+            chequered = k < iterations - LAST_STEPS
+            cost = _add_image_terms(
+                hand, tile, pose, inner, terms, WIDENING ** (iterations - k), chequered, workspace
+            )
+            copy(workspace.data, workspace.whole)
+            doubts = _add_prior_terms(hand, pose, means[n], precisions[n], workspace, delta)
+            objective = cost + tile.mm_per_nat * doubts
+            if objective < least:
+                least = objective
+                _keep(pose, inner, workspace.data, cost, fit)
+            if k < iterations:
+                add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, workspace.whole)
+                solve_positive(workspace.whole.matrix, workspace.whole.vector, delta)
+                step_pose(pose, delta, most)
+                _move_inner(inner, delta, workspace.posed, most)
+
+
+@inlined
+def _add_image_terms(
+    hand: Hand,
+    tile: Tile,
+    pose: FloatArray,
+    inner: FloatArray,
+    terms: Terms,
+    widening: float,
+    chequered: bool,
+    workspace: Workspace,
+) -> float:
+    """Write the residuals of a pose to ``data``; return its union cost D, mm."""
+    pose_bones(hand.skeleton, pose, inner, workspace.posed)
+    clear(workspace.data)
+    if not draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
+        return terms.clamp_mm
+    cost = add_terms(
+        tile,
+        workspace.posed,
+        hand.skin,
+        workspace.drawing,
+        terms,
+        widening,
+        STRIDE_FROM_AFAR if chequered else 1,
+        workspace.buffers,
+        workspace.data,
+    )
+    gather(workspace.data)
+    return cost
 
 
 @borrowing
@@ -415,7 +427,7 @@ def swap_fingers_each(
     Args:
         hand, tile, terms, workspace: as in ``cost_of``.
         poses: (G, K, 22), the best of each group first.
-        objectives: (G,) of these, as in ``descend``.
+        objectives: (G,) of these, as in ``descend_each``.
         mean, precision: (22,), (21,) prior of all.
         first, stride: which groups.
         out: overwritten.
@@ -444,15 +456,6 @@ def swap_fingers_each(
 
 
 @borrowing
-def align_each(
-    hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
-) -> None:
-    """Apply ``align`` to every ``stride``-th of poses (N, 22)."""
-    for n in range(first, len(poses), stride):
-        align(hand, tile, poses[n], workspace)
-
-
-@borrowing
 def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
     """Return the union cost D, mm, of a pose (22,)."""
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
@@ -461,53 +464,33 @@ def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: W
     return union_cost(tile, workspace.drawing, terms)
 
 
-@borrowing
-def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
-    """Write the fit of a pose without a step."""
-    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
-    clear(workspace.data)
-    cost = terms.clamp_mm
-    if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
-        cost = add_terms(
-            tile,
-            workspace.posed,
-            hand.skin,
-            workspace.drawing,
-            terms,
-            1.0,
-            1,
-            workspace.buffers,
-            workspace.data,
-        )
-        gather(workspace.data)
-    _keep(pose, tile.inner, workspace.data, cost, out)
-
-
 @kernel
-def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> bool:
-    """Shift a pose (22,) so that rendered and observed hand have the same centroid.
+def align_each(
+    hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
+) -> None:
+    """Shift every ``stride``-th of poses (N, 22) so that rendered and observed hand have the same centroid.
 
-    The centroids are means of column, row and depth. Return False, without a shift, if either is empty.
+    The centroids are means of column, row and depth. Poses stay where either is empty.
     """
-    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
-    bones, drawing = workspace.posed.bones, workspace.drawing
-    if tile.observed == 0 or not draw_depth(hand.skin.mesh, bones, tile.projection, drawing):
-        return False
-    drawn, target = np.zeros(3), np.zeros(3)
-    count = _add_middle(drawing.inverse, tile.image, True, drawn)
-    if count == 0:
-        return False
-    _place_middle(drawn, count, tile.projection)
-    _place_middle(target, _add_middle(tile.image, tile.image, False, target), tile.projection)
-    for i in range(3):
-        pose[i] += target[i] - drawn[i]
-    return True
+    bones, drawing, drawn, target = workspace.posed.bones, workspace.drawing, np.empty(3), np.empty(3)
+    for n in range(first, len(poses), stride):
+        pose = poses[n]
+        pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
+        if tile.observed == 0 or not draw_depth(hand.skin.mesh, bones, tile.projection, drawing):
+            continue
+        count = _add_middle(drawing.inverse, tile.image, True, drawn)
+        if count == 0:
+            continue
+        _place_middle(drawn, count, tile.projection)
+        _place_middle(target, _add_middle(tile.image, tile.image, False, target), tile.projection)
+        for i in range(3):
+            pose[i] += target[i] - drawn[i]
 
 
 @borrowing
 def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: FloatArray) -> int:
     """Sum column, row and depth of positive pixels where ``seen`` is not ignored; return their number."""
-    count = 0
+    count, total[:] = 0, 0.0
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
             value = image[j, i]

@@ -15,12 +15,16 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.hand.fit.skeleton import THUMB_ROW
 from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
+from posetrack_cli.lanes import Lanes, emitted, padded
 
-ROW = 12  # palm's six unknowns, a finger's or the forearm's three, the residual, the thumb's inner two
+ROW = (
+    16  # palm's six unknowns, a finger's or the forearm's three, the residual, the thumb's inner two, padding
+)
 RESIDUAL, THUMB_PART = 9, 10  # columns of a row
 ARM_PLACE, THUMB_PLACE = TANGENT_SIZE, TANGENT_SIZE + 3  # first unknown of forearm and thumb
 UNKNOWNS = THUMB_PLACE + 2
-_BLOCKS = 7
+_BLOCKS, _HALF = 7, 8
+"""Number of blocks, and lanes of half a row."""
 
 
 class NormalEquations(NamedTuple):
@@ -29,9 +33,9 @@ class NormalEquations(NamedTuple):
     Attributes:
         matrix: (26, 26) sum w J^T J; last the forearm's three unknowns, then the thumb's two inner angles.
         vector: (26,) sum w J^T r.
-        blocks: (7, 9, 10) upper triangles per finger, for the forearm and for the palm alone; ``gather`` adds
-            them to matrix and vector.
-        thumb: (2, 12) products of the thumb's inner angles with a full row.
+        blocks: (7, 9, 16) products of rows per finger, for the forearm and for the palm alone, valid in their
+            upper triangles; ``gather`` adds them to matrix and vector.
+        thumb: (2, 16) products of the thumb's inner angles with a full row.
     """
 
     matrix: FloatArray
@@ -42,8 +46,8 @@ class NormalEquations(NamedTuple):
 
 def empty_equations() -> NormalEquations:
     """Return equations without residuals."""
-    size, blocks = UNKNOWNS, np.zeros((_BLOCKS, RESIDUAL, RESIDUAL + 1))
-    return NormalEquations(np.zeros((size, size)), np.zeros(size), blocks, np.zeros((2, ROW)))
+    size, blocks = UNKNOWNS, padded(np.zeros((_BLOCKS, RESIDUAL, ROW)))
+    return NormalEquations(np.zeros((size, size)), np.zeros(size), blocks, padded(np.zeros((2, ROW))))
 
 
 @borrowing
@@ -64,20 +68,35 @@ def copy(equations: NormalEquations, out: NormalEquations) -> None:
             out.matrix[i, j] = equations.matrix[i, j]
 
 
+@emitted
+def _add_block(blocks: Lanes, at: Lanes, row: Lanes, weight: Lanes) -> None:
+    """Add the upper triangle of a row's products with itself."""
+    for i in range(RESIDUAL):
+        _add_scaled(blocks, at + i * ROW, row, weight * row.number(i), i // _HALF)
+
+
+@emitted
+def _add_thumb(thumb: Lanes, at: Lanes, row: Lanes, weight: Lanes) -> None:
+    """Add the products of a row with its entries for the thumb's inner angles."""
+    for i in range(2):
+        _add_scaled(thumb, at + i * ROW, row, weight * row.number(THUMB_PART + i), 0)
+
+
+def _add_scaled(sums: Lanes, at: Lanes, row: Lanes, factor: Lanes, first: int) -> None:
+    """Add a row's halves from ``first`` on, scaled, to sums."""
+    for half in range(first, 2):
+        place = at + half * _HALF
+        values = row.load(at.constant(half * _HALF), _HALF)
+        sums.store(place, sums.load(place, _HALF) + factor * values)
+
+
 @inlined
 def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: float) -> None:
-    """Add one residual with its row (12,) of ``point_row``; finger PALM = -1 is the last block."""
-    block = equations.blocks
+    """Add one residual with its row (16,) of ``point_row``; finger PALM = -1 is the last block."""
     f = finger if finger >= 0 else _BLOCKS - 1
-    for i in range(RESIDUAL):
-        scaled = weight * row[i]
-        for j in range(i, RESIDUAL + 1):
-            block[f, i, j] += scaled * row[j]
+    _add_block(equations.blocks, f * RESIDUAL * ROW, row, weight)
     if finger == THUMB_ROW:
-        for i in range(2):
-            scaled = weight * row[THUMB_PART + i]
-            for j in range(ROW):
-                equations.thumb[i, j] += scaled * row[j]
+        _add_thumb(equations.thumb, 0, row, weight)
 
 
 @borrowing

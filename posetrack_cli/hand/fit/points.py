@@ -32,7 +32,7 @@ from posetrack_cli.hand.fit.normal_equations import (
     gather,
 )
 from posetrack_cli.hand.fit.skeleton import (
-    NO_INNER,
+    INNER_SIZE,
     PALM,
     Posed,
     Skeleton,
@@ -114,7 +114,7 @@ def _add_point(
     targets: JointTargets, posed: Posed, k: int, width: float, reaches: FloatArray, equations: NormalEquations
 ) -> None:
     """Add the rows of one joint, which moves with the palm and the hinges before it."""
-    at, e, p, row = np.empty(3), np.empty(3), np.empty(3), np.empty(ROW)
+    at, e, p, row = np.empty(3), np.empty(3), np.empty(3), np.zeros(ROW)
     _joint(posed, k, at)
     square = _misfit(targets, k, at, e, p)
     weight = geman_mcclure(square / (width * width))
@@ -148,12 +148,14 @@ def fit_targets(
         workspace: overwritten.
     """
     posed, equations = workspace.posed, workspace.equations
-    reaches = np.tri(4, 3, -1)  # row j: moved by the first j hinges
-    step = np.empty(TANGENT_SIZE)
+    reaches, step, inner = np.zeros((4, 3)), np.empty(TANGENT_SIZE), np.zeros(INNER_SIZE)
+    for j in range(4):  # moved by the first j hinges; np.tri takes seconds to compile
+        for i in range(j):
+            reaches[j, i] = 1.0
     for n in range(iterations):
         remaining = 1.0 - n / max(iterations - 1, 1)
         width = _MIN_WIDTH * (_MAX_WIDTH / _MIN_WIDTH) ** remaining
-        pose_bones(skeleton, pose, NO_INNER, posed)
+        pose_bones(skeleton, pose, inner, posed)
         clear(equations)
         for k in range(21):
             if targets.precision[k, 0] > 0.0:
@@ -173,8 +175,8 @@ def misfits(
     skeleton: Skeleton, targets: JointTargets, pose: FloatArray, posed: Posed, out: FloatArray
 ) -> None:
     """Write s (21,) of a pose (22,): the distance of each joint from its target in standard deviations."""
-    at, e, p = np.empty(3), np.empty(3), np.empty(3)
-    pose_bones(skeleton, pose, NO_INNER, posed)
+    at, e, p, inner = np.empty(3), np.empty(3), np.empty(3), np.zeros(INNER_SIZE)
+    pose_bones(skeleton, pose, inner, posed)
     for k in range(21):
         _joint(posed, k, at)
         out[k] = np.sqrt(_misfit(targets, k, at, e, p))

@@ -156,7 +156,10 @@ def pose_many(
     """
     for n in range(len(poses)):
         pose_bones(skeleton, poses[n], inner[n], posed)
-        bones[n] = posed.bones[: bones.shape[1]]
+        for b in range(bones.shape[1]):  # element by element: assigning slices takes seconds to compile
+            for i in range(3):
+                for j in range(4):
+                    bones[n, b, i, j] = posed.bones[b, i, j]
 
 
 @kernel
@@ -167,7 +170,7 @@ def place_joints(
     ``JOINT_NAMES``."""
     for n in range(len(poses)):
         pose_bones(skeleton, poses[n], inner[n], posed)
-        for k in range(3):  # element by element: assigning slices takes seconds to compile
+        for k in range(3):
             joints[n, 0, k] = poses[n, k]
             for f in range(5):
                 for joint in range(3):
@@ -270,7 +273,7 @@ def point_row(
         n: row index.
         px, py, pz: the point, camera coordinates, mm.
         dx, dy, dz: unit direction.
-        row: (12,) translation; body rotation; the finger's three angles (0 for the palm), or the forearm's
+        row: (16,) translation; body rotation; the finger's three angles (0 for the palm), or the forearm's
             two swings and log girth; one entry left for the residual; the thumb's two inner angles.
     """
     palm = posed.bones

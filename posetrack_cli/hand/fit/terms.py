@@ -21,6 +21,7 @@ from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.geometry.least_squares import geman_mcclure
 from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
 from posetrack_cli.hand.fit.skeleton import NO_INNER, Posed, Skin, point_row
+from posetrack_cli.lanes import padded
 from posetrack_cli.rendering.raster import Drawing, View
 
 
@@ -76,6 +77,8 @@ class Terms(NamedTuple):
 
 _INDEX = np.int32(2**14 - 1)
 """Bits of a float32 that hold an index."""
+_TOGETHER = 64
+"""Vertices per step of a loop that LLVM has vectorised; it takes the last ones one by one."""
 
 Pull: TypeAlias = tuple[float, float, float, float, float]
 """Direction of the point (3), residual, mm, and weight, 1 / mm^2 (0 for none)."""
@@ -86,10 +89,10 @@ class TermBuffers(NamedTuple):
 
     Attributes:
         points: (h w, 3) unexplained points.
-        vertices: (V,) visible vertices.
+        vertices: (V,) visible vertices; V is a multiple of ``_TOGETHER``.
         places: (3, V) their positions, one row per coordinate; accurate enough to find the nearest.
         squares: (V,) squared distances from a point.
-        row: (12,) of one residual.
+        row: (16,) of one residual.
     """
 
     points: FloatArray
@@ -101,11 +104,10 @@ class TermBuffers(NamedTuple):
 
 def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     """Return the buffers for one image."""
-    count = len(skin.mesh.vertices)
+    count = -(-len(skin.mesh.vertices) // _TOGETHER) * _TOGETHER
     points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
-    return TermBuffers(
-        points, vertices, np.zeros((3, count), np.float32), np.zeros(count, np.float32), np.zeros(ROW)
-    )
+    places, squares = np.zeros((3, count), np.float32), np.zeros(count, np.float32)
+    return TermBuffers(points, vertices, places, squares, padded(np.zeros(ROW)))
 
 
 @borrowing
@@ -258,15 +260,18 @@ def _add_closest(
 
 @inlined
 def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
-    """Write indices and positions of the visible vertices; return their number."""
-    count = 0
+    """Write indices and positions of the visible vertices; return their number, rounded up with far ones."""
+    count, places = 0, buffers.places
     for v in range(len(drawing.facing)):
         if drawing.facing[v]:
             buffers.vertices[count] = v
             for i in range(3):
-                buffers.places[i, count] = drawing.vertices[v, i]
+                places[i, count] = drawing.vertices[v, i]
             count += 1
-    return count
+    last = (count + _TOGETHER - 1) // _TOGETHER * _TOGETHER
+    for m in range(count, last):
+        places[0, m] = places[1, m] = places[2, m] = np.inf
+    return last
 
 
 @borrowing

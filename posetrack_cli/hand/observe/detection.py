@@ -108,6 +108,9 @@ def detect(
     likely = [candidate for candidate in found if candidate.score >= _MIN_SCORE]
     kept: list[Detection] = []
     for candidate in sorted(likely, key=_rank, reverse=True):
+        palm = candidate.region.palm
+        if any(np.linalg.norm(palm - other.palm) <= _TWO_PALMS_MM for other in kept):
+            continue
         detection = _detection(surfaces, candidate)
         if all(_are_distinct(detection, other) for other in kept):
             kept.append(detection)
@@ -185,17 +188,19 @@ def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> tuple[int, int] |
     region, arm = candidate.region, candidate.arm
     if arm is None:
         return None
-    outwards = (region.points - region.palm) @ arm
-    end = float(np.percentile(outwards[region.mask], 99.0))
+    rows, columns = np.nonzero(region.mask)
+    outwards = (region.points[rows, columns] - region.palm) @ arm
+    end = float(np.percentile(outwards, 99.0))
     if end <= _LONGEST_FROM_PALM_MM:
         return None
     from_end = end - outwards
-    band = region.mask & (from_end > _SHORTEST_FROM_PALM_MM) & (from_end < _LONGEST_FROM_PALM_MM)
-    radius = np.where(band, surfaces.radius[region.rows, region.columns], 0.0)
+    band = (from_end > _SHORTEST_FROM_PALM_MM) & (from_end < _LONGEST_FROM_PALM_MM)
+    rows, columns = rows[band] + region.rows.start, columns[band] + region.columns.start
+    radius = surfaces.radius[rows, columns]
     if not radius.any():
         return None
-    row, column = np.unravel_index(int(np.argmax(radius)), radius.shape)
-    return region.rows.start + int(row), region.columns.start + int(column)
+    widest = int(np.argmax(radius))
+    return int(rows[widest]), int(columns[widest])
 
 
 def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:
@@ -237,8 +242,6 @@ def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[B
 
 
 def _are_distinct(first: Detection, second: Detection) -> bool:
-    """Return whether two detections are different hands."""
-    apart = float(np.linalg.norm(first.palm - second.palm))
+    """Return whether two detections whose palms are far apart are different hands."""
     shared = int(np.count_nonzero(first.mask & second.mask))
-    least = min(int(np.count_nonzero(d.mask)) for d in (first, second))
-    return apart > _TWO_PALMS_MM and shared < _MAX_SHARED * least
+    return shared < _MAX_SHARED * min(int(np.count_nonzero(d.mask)) for d in (first, second))

@@ -70,21 +70,27 @@ class PixelSampler:
 
     def sample(self, depth: ImageArray, window: Window) -> Float32Array:
         """Return the (height, width) float32 tile of a depth image, mm."""
-        rows, columns = window.rows(), window.columns()
-        inside_rows, inside_columns = (
-            (index >= 0) & (index < size) for index, size in zip((rows, columns), self._size, strict=True)
-        )
         tile = np.zeros((window.height, window.width), dtype=np.float32)
-        part = np.ix_(rows[inside_rows], columns[inside_columns])
-        tile[np.ix_(inside_rows, inside_columns)] = self._at(depth, part)
+        into, part = zip(*map(_inside, (window.rows(), window.columns()), self._size), strict=True)
+        tile[into] = self._at(depth, part)
         return tile
 
-    def _at(self, depth: ImageArray, part: tuple[IntArray, ...]) -> ImageArray:
+    def _at(self, depth: ImageArray, part: tuple[slice, ...]) -> ImageArray:
         if self._lookup is None:
             return depth[part]
         rows, columns = (axis[part] for axis in self._lookup)
         valid = (rows >= 0) & (rows < self._size[0]) & (columns >= 0) & (columns < self._size[1])
         return np.where(valid, depth[np.where(valid, rows, 0), np.where(valid, columns, 0)], 0.0)
+
+
+def _inside(index: IntArray, size: int) -> tuple[slice, slice]:
+    """Return which of equally spaced pixels of an axis are inside the image, and these pixels."""
+    inside = np.flatnonzero((index >= 0) & (index < size))
+    if not inside.size:
+        return slice(0), slice(0)
+    first, last = int(inside[0]), int(inside[-1])
+    step = int(index[1] - index[0]) if len(index) > 1 else 1
+    return slice(first, last + 1), slice(int(index[first]), int(index[last]) + 1, step)
 
 
 def _undistorting_lookup(camera: Camera) -> tuple[IntArray, IntArray]:

@@ -80,7 +80,7 @@ def whole_row(row: FloatArray, finger: int) -> FloatArray:
     if finger != PALM:
         out[6 + 3 * finger : 9 + 3 * finger] = row[6:9]
     if finger == THUMB_ROW:
-        out[21:] = row[THUMB_PART:]
+        out[21:] = row[THUMB_PART : THUMB_PART + 2]
     return out
 
 

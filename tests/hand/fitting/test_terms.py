@@ -64,7 +64,7 @@ def test_blocks_are_gathered_like_whole_rows() -> None:
         else:
             rows[k, 6 + 3 * finger : 9 + 3 * finger] = row[6:9]
         if finger == THUMB_ROW:
-            rows[k, THUMB_PLACE:UNKNOWNS] = row[THUMB_PART:]
+            rows[k, THUMB_PLACE:UNKNOWNS] = row[THUMB_PART : THUMB_PART + 2]
         rows[k, :6], rows[k, UNKNOWNS] = row[:6], row[RESIDUAL]
         add_row(equations, finger, row, weights[k])
     gather(equations)
