@@ -38,11 +38,6 @@ Open hands that the average hand does not fit cost up to 10 mm. In recordings of
 and backgrounds cost at least 14 mm as a second one. An elbow may look like a hand, but lies on the same arm
 (``search.cheapest_pair``).
 """
-_MAX_COST_RATIO = 1.75
-"""Largest ratio of the costs of two hands, which the average hand fits alike **[ours]**.
-
-In 63 of 64 frames with two hands it is lower, 1.1 in the median; a body behind a hand has 2.2.
-"""
 _LEAST_COST_MM = 2.5
 """Cost of the best fits of an average hand of the right size."""
 
@@ -131,12 +126,7 @@ class PairFinder:
             found = [known + more for known, more in zip(found, fits, strict=True)]
         pair = cheapest_pair(*found)
         first, second = (_lead_mm(one, others) for one, others in zip(pair, reversed(found), strict=True))
-        costs = [one.cost for one in pair if one is not None]
-        most_mm = _MAX_COST_RATIO * max(_LEAST_COST_MM, min(costs, default=0.0))
-        right, left = (
-            one.pose[:3] if one is not None and one.cautious_cost < limit_mm and one.cost <= most_mm else None
-            for one in pair
-        )
+        right, left = (None if one is None or one.cautious_cost >= limit_mm else one.pose[:3] for one in pair)
         return PairFrame(frame, (right, left), (first, second))
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand import both
 from posetrack_cli.hand.autodetect import detect_hand
-from posetrack_cli.hand.both import SECOND_MM, PairFinder, PairFrame, common_side
+from posetrack_cli.hand.both import PairFinder, PairFrame, common_side
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
@@ -243,18 +242,6 @@ def test_one_frame_of_several_is_not_enough_for_a_second_hand(
     depth = np.zeros((KINECT.height, KINECT.width), np.float32)
     recording = Drawn((depth,) * frames)
     assert PairFinder(recording, HandConfig(), 1.0, 0).shows_two is shows_two
-
-
-@pytest.mark.parametrize(("cost_mm", "shows_both"), [(6.9, True), (7.1, False)])
-def test_a_body_that_costs_far_more_than_the_hand_is_not_a_hand(
-    recording: Drawn, monkeypatch: pytest.MonkeyPatch, cost_mm: float, shows_both: bool
-) -> None:
-    """Both hands of a person cost about the same: at most 1.75 times 4 mm."""
-    pair = Candidate(np.zeros(22), 4.0, 4.0), Candidate(np.ones(22), cost_mm, cost_mm)
-    monkeypatch.setattr(both, "cheapest_pair", lambda *found: pair)
-    frame = next(recording.frames(start=0, end=None))
-    found = PairFinder(recording, HandConfig(), 1.0, 0)._pair_in(frame, SECOND_MM)
-    assert found is not None and found.shows_both is shows_both
 
 
 def test_two_people_show_hands_of_one_side(recording: Drawn) -> None:
