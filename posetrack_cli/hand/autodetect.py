@@ -238,7 +238,7 @@ class SideAndScaleSearch:
         self._size_penalty = np.minimum(penalty, _MAX_SIZE_PENALTY_MM)  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
-        self._finders: dict[tuple[int, int], Acquisition] = {}
+        self._finders: dict[tuple[int, int, bool], Acquisition] = {}
 
     def add_frame(self, frame: Frame, advance: Advance = lambda count: None) -> None:
         """Add the costs of a frame, unless it shows no candidate; ``advance`` counts the searches."""
@@ -270,6 +270,7 @@ class SideAndScaleSearch:
 
         for side in range(1, len(self.sides)):
             appraise(side, own)
+        self._search_known(frame, likely, costs)
         least = costs[:, own].min()
         possible = [side for side in range(len(self.sides)) if costs[side, own] < least + _HOPELESS_MM]
         if not self._tried:
@@ -288,6 +289,16 @@ class SideAndScaleSearch:
             most = CLEAR_LOG_ODDS if costs.min() <= KNOWN_HAND_MM else MAX_PER_FRAME
             self._log_odds += side_log_odds(float(costs[0].min()), float(costs[1].min()), most)
         self._tried = self._open_sizes()
+
+    def _search_known(self, frame: Frame, likely: Sequence[Detection], costs: FloatArray) -> None:
+        """Search the first frame fully for the configured hand, which quick searches miss in one of seven."""
+        own = len(self._scales) // 2
+        if self.frame_count or costs.min() <= KNOWN_HAND_MM:
+            return
+        for side in range(len(self.sides)):
+            cost, _ = self._finder(side, own, is_full=True).appraise(frame.depth, likely, (), KNOWN_HAND_MM)
+            if cost <= KNOWN_HAND_MM:
+                costs[side, own] = cost
 
     def _open_sizes(self) -> list[int]:
         """Return the cheapest size, and of those tried its neighbours and any that costs little more."""
@@ -371,18 +382,19 @@ class SideAndScaleSearch:
         own = self._config.hand.scale
         return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
-    def _finder(self, side: int, k: int) -> Acquisition:
+    def _finder(self, side: int, k: int, *, is_full: bool = False) -> Acquisition:
         """Return the search for a hand of one side and size.
 
         The thumb is rigid and not expected to rest: with inner angles a hand of another side or size fits as
         well, and the rest prior pulls both thumbs away from the image, which weakens the evidence for the
         side.
         """
-        if (side, k) not in self._finders:
+        if (side, k, is_full) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = self._make_hand(self.sides[side], shape)
-            self._finders[side, k] = Acquisition(self._quick, hand, self._camera, STIFF_THUMB)
-        return self._finders[side, k]
+            config = self._config if is_full else self._quick
+            self._finders[side, k, is_full] = Acquisition(config, hand, self._camera, STIFF_THUMB)
+        return self._finders[side, k, is_full]
 
 
 def side_log_odds(cost_mm: float, other_mm: float, most: float = MAX_PER_FRAME) -> float:

@@ -19,10 +19,12 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import COEFFICIENTS, HandShape
 from posetrack_cli.hand.model.hand import hand_model
 from posetrack_cli.hand.shape_fit import MEASURES, CalibrationOptions, measures_of
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays
 from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from support.calibrations import calibration_of
+from support.recordings import write_folder
 
 QUICK = ("--hand-side", "right", "--fit-frames", "8")
 FEW = "[acquisition]\nfitted = 16\nrefined = 2\nscattered = 4\n"
@@ -149,9 +151,14 @@ def test_missing_recording_folder_and_mesh(
     assert "none.glb: cannot be read" in one_line(capsys)
 
 
-def test_a_recording_too_short_to_say_anything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    short, output = tmp_path / "short.mcap", tmp_path / "hand.toml"
-    write_synthetic(SynthOptions(frames=3, seed=4), short)
+def test_a_recording_too_short_to_say_anything(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The hand must be found in all of three frames; here it leaves after the second."""
+    opened, output = open_recording(recording), tmp_path / "hand.toml"
+    images = [frame.depth.astype(np.uint16) for frame in opened.frames(start=0, end=3, stride=1)]
+    camera = "".join(f"{name} = {getattr(opened.cameras[0], name)}\n" for name in ("fx", "fy", "cx", "cy"))
+    short = write_folder(tmp_path / "short", [*images[:2], np.zeros_like(images[2])], camera=camera)
     assert calibrate(short, output, "--hand-side", "right") == 1
     assert "no trackable hand" in one_line(capsys)
     assert not output.exists()

@@ -115,6 +115,8 @@ def say_costs(
     def appraise(
         self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
+        if below_mm <= KNOWN_HAND_MM:  # nor is it found by searching for longer
+            return HandConfig().observation.clamp_mm, places
         return next(told[self.observer.anatomy.side]), places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)
@@ -366,3 +368,19 @@ def test_a_shape_of_another_size_is_begun_once_more_from_there(
     # of a hand of another size than was tried the side is open again, and the other begins with that size
     assert begun == ([1.0, again, again] if taken else [1.0, again])
     assert found.config.hand.shape == (HandShape(0.74) if taken else HandShape())
+
+
+def test_the_configured_hand_is_known_although_a_quick_search_misses_it(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Searched for longer it costs 1 mm; otherwise its size would be searched, and its shape estimated."""
+
+    def appraise(
+        self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
+    ) -> tuple[float, list[Detection]]:
+        is_found = below_mm <= KNOWN_HAND_MM and self.observer.anatomy.side == seen[0]
+        return (1.0 if is_found else 6.0), places
+
+    monkeypatch.setattr(Acquisition, "appraise", appraise)
+    found = detect_hand(open_path(seen[1]), HandConfig(), start=0).config.hand
+    assert (found.side, found.scale) == (seen[0], 1.0)
