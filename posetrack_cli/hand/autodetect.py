@@ -142,7 +142,8 @@ _SIZE_SD, _MAX_SIZE_PENALTY_MM = (0.12, 0.15), 2.5
 
 _HOPELESS_MM = 4.0  # a side this much worse is not tried in other sizes
 _OPEN_MM = 10.0  # a size is tried until its costs sum up to this much more than the cheapest's
-_FAR_WORSE_MM = 3.0  # a hand this much worse is only fitted roughly: it decides nothing
+# A hand this much worse after a rough fit decides nothing. Rough costs exceed full ones by as much as half.
+_FAR_WORSE, _FAR_WORSE_MM = 1.5, 3.0
 
 
 def search_early_frames(
@@ -251,10 +252,11 @@ class SideAndScaleSearch:
         self._add_keypoints(frame)
 
         def cost_of(side: int, k: int, detections: Sequence[Detection]) -> tuple[float, list[Detection]]:
-            finder = self._finder(side, k)
+            # sizes are compared roughly, but sides and the configured hand itself are not
+            finder = self._finder(side, k, is_full=k == own and costs.min() > KNOWN_HAND_MM)
             extra = keypoint_candidates(self._keypoints, self._camera, finder, frame)
             advance(1)
-            return finder.appraise(frame.depth, detections, extra, costs.min() + _FAR_WORSE_MM)
+            return finder.appraise(frame.depth, detections, extra, _FAR_WORSE * costs.min() + _FAR_WORSE_MM)
 
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
         costs[0, own], likely = cost_of(0, own, detections)
@@ -270,7 +272,6 @@ class SideAndScaleSearch:
 
         for side in range(1, len(self.sides)):
             appraise(side, own)
-        self._search_known(frame, likely, costs)
         least = costs[:, own].min()
         possible = [side for side in range(len(self.sides)) if costs[side, own] < least + _HOPELESS_MM]
         if not self._tried:
@@ -289,16 +290,6 @@ class SideAndScaleSearch:
             most = CLEAR_LOG_ODDS if costs.min() <= KNOWN_HAND_MM else MAX_PER_FRAME
             self._log_odds += side_log_odds(float(costs[0].min()), float(costs[1].min()), most)
         self._tried = self._open_sizes()
-
-    def _search_known(self, frame: Frame, likely: Sequence[Detection], costs: FloatArray) -> None:
-        """Search the first frame fully for the configured hand, which quick searches miss in one of seven."""
-        own = len(self._scales) // 2
-        if self.frame_count or costs.min() <= KNOWN_HAND_MM:
-            return
-        for side in range(len(self.sides)):
-            cost, _ = self._finder(side, own, is_full=True).appraise(frame.depth, likely, (), KNOWN_HAND_MM)
-            if cost <= KNOWN_HAND_MM:
-                costs[side, own] = cost
 
     def _open_sizes(self) -> list[int]:
         """Return the cheapest size, and of those tried its neighbours and any that costs little more."""

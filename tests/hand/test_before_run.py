@@ -115,8 +115,6 @@ def say_costs(
     def appraise(
         self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
-        if below_mm <= KNOWN_HAND_MM:  # nor is it found by searching for longer
-            return HandConfig().observation.clamp_mm, places
         return next(told[self.observer.anatomy.side]), places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)
@@ -373,12 +371,12 @@ def test_a_shape_of_another_size_is_begun_once_more_from_there(
 def test_the_configured_hand_is_known_although_a_quick_search_misses_it(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Searched for longer it costs 1 mm; otherwise its size would be searched, and its shape estimated."""
+    """A full search finds it at 1 mm; otherwise its size would be searched, and its shape estimated."""
 
     def appraise(
         self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
-        is_found = below_mm <= KNOWN_HAND_MM and self.observer.anatomy.side == seen[0]
+        is_found = self._config == HandConfig() and self.observer.anatomy.side == seen[0]
         return (1.0 if is_found else 6.0), places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)
