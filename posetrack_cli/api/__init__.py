@@ -149,7 +149,7 @@ def track_hand(
     With the setting ``hand.count`` of ``2``, both hands are written to ``output``, and iteration yields the
     estimates of the right one.
 
-    Side, size and shape are estimated before this function returns, which takes about ten seconds. Warns if
+    Side, size and shape are estimated before this function returns, which takes about five seconds. Warns if
     the estimate is doubtful.
 
     Args:
