@@ -79,7 +79,7 @@ def decide_side(search: SideAndScaleSearch, estimate: Callable[[str], Calibratio
 
     Args:
         search: evidence of the frames for side and size.
-        estimate: returns the shape of a side's hand; None without a usable one.
+        estimate: returns the shape of a side's hand; None if too few frames show it.
     """
     shapes = {search.side: estimate(search.side)}
     if len(search.sides) == 1 or (search.is_sure_of_side and not _is_restarted_at_other_size(search, shapes)):
@@ -253,7 +253,7 @@ class SideAndScaleSearch:
 
         def cost_of(side: int, k: int, detections: Sequence[Detection]) -> tuple[float, list[Detection]]:
             # sizes are compared roughly, but sides and the configured hand itself are not
-            finder = self._finder(side, k, is_full=k == own and costs.min() > KNOWN_HAND_MM)
+            finder = self._finder(side, k, quick=k != own or costs.min() <= KNOWN_HAND_MM)
             extra = keypoint_candidates(self._keypoints, self._camera, finder, frame)
             advance(1)
             return finder.appraise(frame.depth, detections, extra, _FAR_WORSE * costs.min() + _FAR_WORSE_MM)
@@ -265,7 +265,7 @@ class SideAndScaleSearch:
         def detected(k: int) -> list[Detection]:
             """Detection depends on the palm's size, so far sizes need their own."""
             near = abs(k - own) <= 1
-            return likely if near else self._finder(0, k).detect(frame.depth, is_sized=True)
+            return likely if near else self._finder(0, k, quick=True).detect(frame.depth, is_sized=True)
 
         def appraise(side: int, k: int) -> None:
             costs[side, k] = cost_of(side, k, detected(k))[0]
@@ -373,19 +373,19 @@ class SideAndScaleSearch:
         own = self._config.hand.scale
         return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
-    def _finder(self, side: int, k: int, *, is_full: bool = False) -> Acquisition:
+    def _finder(self, side: int, k: int, quick: bool = False) -> Acquisition:
         """Return the search for a hand of one side and size.
 
         The thumb is rigid and not expected to rest: with inner angles a hand of another side or size fits as
         well, and the rest prior pulls both thumbs away from the image, which weakens the evidence for the
         side.
         """
-        if (side, k, is_full) not in self._finders:
+        if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = self._make_hand(self.sides[side], shape)
-            config = self._config if is_full else self._quick
-            self._finders[side, k, is_full] = Acquisition(config, hand, self._camera, STIFF_THUMB)
-        return self._finders[side, k, is_full]
+            config = self._quick if quick else self._config
+            self._finders[side, k, quick] = Acquisition(config, hand, self._camera, STIFF_THUMB)
+        return self._finders[side, k, quick]
 
 
 def side_log_odds(cost_mm: float, other_mm: float, most: float = MAX_PER_FRAME) -> float:

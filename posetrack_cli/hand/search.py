@@ -578,8 +578,8 @@ class Acquisition:
         """Return the candidate, or a cheaper lookalike if it fits poorly."""
         if found.cost <= self._config.status.doubt_above_mm:
             return found
-        needed = max(bar.cost, bar.total_cost - (found.total_cost - found.cost))
-        other = self.lookalike(depth, found, min(found.cost, needed))
+        needed_mm = bar.at(found.total_cost - found.cost)
+        other = self.lookalike(depth, found, min(found.cost, needed_mm))
         return found if other is None or other.cost >= found.cost else other
 
     def lookalike(self, depth: ImageArray, place: Candidate, below_mm: float = np.inf) -> Candidate | None:

@@ -17,9 +17,8 @@ from posetrack_cli.hand.fit.skeleton import THUMB_ROW
 from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
 from posetrack_cli.lanes import Lanes, emitted, padded
 
-ROW = (
-    16  # palm's six unknowns, a finger's or the forearm's three, the residual, the thumb's inner two, padding
-)
+ROW = 16
+"""Palm's six unknowns, a finger's or the forearm's three, the residual, the thumb's inner two, padding."""
 RESIDUAL, THUMB_PART = 9, 10  # columns of a row
 ARM_PLACE, THUMB_PLACE = TANGENT_SIZE, TANGENT_SIZE + 3  # first unknown of forearm and thumb
 UNKNOWNS = THUMB_PLACE + 2
